@@ -34,7 +34,8 @@ class Hand(Middleware):
         self.name, self.full_name, self.time = name, f"/{name}", time
         self.said, self.heard, self.matched = {}, {}, {}  # by topic
         self.timers, self.posted, self.logs = [], [], []
-        self.writers, self.readers, self.types, self.reads = {}, {}, {}, {}  # what the graph shows
+        # the graph: publishers and subscribers by topic, types by topic, subscriptions by node
+        self.writers, self.readers, self.types, self.reads = {}, {}, {}, {}
 
     def resolve(self, topic):
         topic = topic.replace("~", self.full_name)

@@ -502,7 +502,7 @@ def test_the_first_difference_is_named():
     assert (result.first.a, result.first.b) == (4.0, 4.04)
     assert str(result.first) == "t = 0.004 s, command a/effort: 4.0 against 4.04"
     command = result.topics[2]
-    assert command.differing == 12  # 12 of 13 messages: the first command is zero
+    assert command.differing == 12  # 12 of 13 messages differ, because the first command is zero in both
     assert command.largest == {"a/effort": pytest.approx(0.48)}
     assert [t.equal for t in result.topics] == [True, True, False]
 
@@ -782,7 +782,7 @@ def test_split_by_size(tmp_path, storage):
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_split_size_below_the_head_of_a_file_does_not_make_one_file_per_message(tmp_path, storage):
     files = split(tmp_path / "bag", storage, 2_000, 400, 100)
-    assert 20 <= len(files) <= 45  # 40,000 bytes and what a message costs beside
+    assert 20 <= len(files) <= 45  # the data are 40,000 bytes; each message adds an overhead
     assert read_bag(tmp_path / "bag").topics["x"].times == list(range(400))
 
 
@@ -871,7 +871,7 @@ def test_shards_of_a_killed_run_become_a_bag(tmp_path):
     done = repair(tmp_path / "log")
     assert done.bag == tmp_path / "bag"
     assert [(f.kept, bool(f.lost)) for f in done.files] == [(12, True), (100, False)]
-    assert not any("index" in str(f) for f in done.files)  # a shard has none, and is on the disk at once
+    assert not any("index" in str(f) for f in done.files)  # a shard has no index and is written to the disk immediately
     result = read_bag(tmp_path / "bag")
     assert result.topics["plant/state"] == source.topics["plant/state"]
     assert result.topics["command"].data == source.topics["command"].data[:-1]

@@ -57,7 +57,7 @@ def nodes():
             yield pytest.param(name, node, marks=() if daily else pytest.mark.long)
 
 
-DEAR = "optimal_control_mvim"  # its run of 20 s is judged each day in tests/systems, a shorter one compared here
+DEAR = "optimal_control_mvim"  # tests/systems runs its 20 s daily, so that a shorter run is compared here
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n == DEAR)) for n in GOLDEN])
@@ -92,7 +92,8 @@ def test_another_build_agrees_within_the_tolerances_of_the_bag(name):
     result = golden.compare(shaken, elsewhere=True)
     assert result.equal, str(result)
     if golden.recipe.elsewhere:
-        assert not golden.compare(shaken, elsewhere=False).equal  # and tolerances are not wider than necessary
+        # a wider deviation is detected, so the tolerances are not too wide
+        assert not golden.compare(shaken, elsewhere=False).equal
 
 
 def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
@@ -171,7 +172,7 @@ from softrig_bringup.verbs.golden import load
 {inspect.getsource(digest)}
 print(json.dumps([digest(Path(folder)) for folder in sys.argv[1:]]))
 """
-KERNELS = {  # OpenBLAS's and numpy's choice on other CPUs; the pins leave what is set
+KERNELS = {  # what OpenBLAS and numpy choose on other CPUs; `pin` does not change variables that are set
     "prescott": {bits.CORE: "Prescott", bits.SIMD: bits.PINS[bits.SIMD]},
     "v2": {"NPY_ENABLE_CPU_FEATURES": "X86_V2"},
     "nehalem": {bits.CORE: "Nehalem"},
@@ -179,7 +180,8 @@ KERNELS = {  # OpenBLAS's and numpy's choice on other CPUs; the pins leave what 
     "two threads": {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"},
     "prescott and v2": {bits.CORE: "Prescott", "NPY_ENABLE_CPU_FEATURES": "X86_V2"},
     "skylakex": {bits.CORE: "SkylakeX", bits.SIMD: bits.PINS[bits.SIMD]},
-    "unpinned": {bits.CORE: "SkylakeX", bits.SIMD: "AVX512_SPR"},  # with AVX-512, as a script that imports numpy first
+    # a script that imports numpy first, on a CPU with AVX-512
+    "unpinned": {bits.CORE: "SkylakeX", bits.SIMD: "AVX512_SPR"},
 }
 
 
@@ -202,7 +204,7 @@ def test_no_kernel_of_openblas_or_numpy_affects_a_bit():
     assert digests(DIFFERED, KERNELS["prescott and v2"]) == [digest(BAGS / name) for name in DIFFERED]
 
 
-# checks that call BLAS: a CPU without AVX-512 ends there under the kernels of SkylakeX
+# These checks call BLAS. With the kernels of SkylakeX the process ends there if the CPU has no AVX-512.
 CHECKED = {"optimal_control_mvim_s3_n2", "rehab_impedance", "rehab_impedance_r5"}
 
 

@@ -296,7 +296,7 @@ def test_files_of_both_storages_in_one_folder_are_saved(tmp_path):
         str(repaired).splitlines()[0] == "a_0.mcap: 6 messages kept, left out: 1 attachment notes.txt, 1 metadata site"
     )
     assert not repaired.complete
-    with next(repaired.bag.glob("*_0.mcap")).open("rb") as file:  # as they are encoded
+    with next(repaired.bag.glob("*_0.mcap")).open("rb") as file:  # compare the encoded messages
         counts = Counter((c.topic, c.message_encoding, s.name) for s, c, _ in make_reader(file).iter_messages())
     assert counts == {("/cdr", "cdr", "std_msgs/msg/Empty"): 3, ("/json", "json", "std_msgs/msg/Empty"): 3}
 
@@ -305,7 +305,7 @@ def test_wrong_metadata_is_reported_and_written_again(tmp_path, capsys):
     database(tmp_path / "bag", "DELETE", 7).close()
     repair(tmp_path / "bag")
     text = (tmp_path / "bag/metadata.yaml").read_text()
-    assert main_bag(["repair", str(tmp_path / "bag")]) == 0  # as it should be
+    assert main_bag(["repair", str(tmp_path / "bag")]) == 0  # the repaired bag needs no repair
     assert capsys.readouterr().out == "nothing to repair\n"
     (tmp_path / "bag/metadata.yaml").write_text(text.replace("message_count: 7", "message_count: 9"))
     shutil.rmtree(tmp_path / "bag.damaged")

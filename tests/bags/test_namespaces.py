@@ -15,7 +15,7 @@ from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
 from test_bags import recording
 
-GAINS = {"a": 1.0, "b": 2.0, "deep/c": 1.0, "ab": 3.0}  # the last one begins as another does
+GAINS = {"a": 1.0, "b": 2.0, "deep/c": 1.0, "ab": 3.0}  # the last name begins with the name of another rig
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_a_rig_in_a_namespace_is_read_as_if_it_were_alone(name, bags):
         (("own", "together", "/", "a"), 0),
         (("together", "own", "deep/c", "/"), 0),
         (("own", "together", "/", "b"), 1),
-        (("own", "together", "/", "/"), 1),  # all five rigs
+        (("own", "together", "/", "/"), 1),  # the bag then has the topics of all five rigs
         (("together", "together", "b"), 0),
     ],
 )

@@ -48,5 +48,5 @@ def test_golden_bags_under_another_python(version, tmp_path):
     *rigs, machine = done.stdout.splitlines()
     assert f"CPython {version}." in machine
     assert len(rigs) == len(list((ROOT / "bags").glob("*/golden.yaml")))
-    if "the same functions and packages" in machine:  # else the tolerances of each bag have held
+    if "the same functions and packages" in machine:  # otherwise each bag was compared with its own tolerances
         assert [rig for rig in rigs if not re.search(r"agrees byte for byte$", rig)] == []

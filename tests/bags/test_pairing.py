@@ -220,8 +220,8 @@ def test_a_comparison_in_words_and_as_data():
     equal = TopicComparison("a", STATE, 3, 3)
     other = TopicComparison("b", STATE, 3, 4, missing=1, extra=2, differing=1, largest={"x": 0.12345, "y": math.inf})
     other.note(20, "x", 1.0, math.nan)
-    other.note(1_500_000_000, "y", 1, 2)  # later: not the first
-    other.note(20, "z", 1, 2)  # at the same time: the earlier entry stays
+    other.note(1_500_000_000, "y", 1, 2)  # a note with a later time is not the first one
+    other.note(20, "z", 1, 2)  # for equal times the earlier entry is kept
     comparison = Comparison([equal, other])
     assert str(comparison) == (
         "a: 3 messages, equal\n"

@@ -161,7 +161,7 @@ def test_the_clock_is_published_before_the_messages_of_a_time_and_every_25_ms_be
     playing(world, Bag([("/a", HEADER)], headers(0, 100, 200, 201)), clock=True).run()
     assert world.by_stamp() == [
         (0, "/clock", 100), (0, "/a", 100),
-        (25, "/clock", 100), (50, "/clock", 125), (75, "/clock", 150),  # the clock at the start of this stretch
+        (25, "/clock", 100), (50, "/clock", 125), (75, "/clock", 150),  # /clock is published at the start of this part
         (100, "/clock", 200), (100, "/a", 200), (101, "/clock", 201), (101, "/a", 201),
     ]  # fmt: skip
     assert "/clock" not in {topic for _, topic, data in world.said if isinstance(data, Duration)}
@@ -228,7 +228,8 @@ def test_it_repeats_or_ends_and_stops_immediately(monkeypatch):
     world = World(monkeypatch, until=0.0105)
     bag = Bag([("/a", HEADER)], headers(0, 3, 5, 6))
     playing(world, bag, loop=True).run()
-    assert [k for _, _, k in world.by_stamp()] == [3, 5, 6] * 3 + [3]  # 3 ms each, the last one cut
+    # each of three loops lasts 3 ms; the end cuts the last one
+    assert [k for _, _, k in world.by_stamp()] == [3, 5, 6] * 3 + [3]
     world = World(monkeypatch)
     playing(world, bag, loop=False).run()
     assert [k for _, _, k in world.by_stamp()] == [3, 5, 6]
@@ -375,7 +376,7 @@ def test_a_node_that_announces_its_ticks_is_waited_for_at_each(monkeypatch):
     Law(world, ["/in"], ["/law/tick"], delay=lambda data: 0.2)
     world.peers["/out"] = world.peers["/law/tick"]
     result = replaying(world, Bag([("/in", HEADER), ("/out", HEADER)], headers(0, 0, 10, 20))).run()
-    assert list(result.topics) == ["out"]  # its ticks are no answer
+    assert list(result.topics) == ["out"]  # messages of ticks are not recorded as answers
     times = [t for t, topic, _ in world.by_stamp("/in")]
     assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([200, 200])
 
@@ -448,7 +449,7 @@ def test_missing_nodes_are_named_when_the_timeout_ends(monkeypatch, there, text)
         monkeypatch.setattr(played._publishers, "unheard", list)
     with pytest.raises(RunError, match=rf"^no node to play to within 2 s: {text}$"):
         played.run()
-    assert world.now == pytest.approx(2.5)  # looked at each 0.25 s, the first time to begin with
+    assert world.now == pytest.approx(2.5)  # the player checks every 0.25 s, beginning at once
     assert world.timers == [0.25]
 
 
@@ -459,7 +460,7 @@ def test_a_missing_answer_ends_the_replay_and_a_pause_does_not(monkeypatch):
     played = replaying(world, Bag([("/in", HEADER)], headers(0, 0, 10, 20, 30)), paused=True, timeout=0.5)
     with pytest.raises(RunError, match=r"^no answer to t = 0.02 s on /out within 0.5 s$"):
         played.run()
-    assert world.now == pytest.approx(1.75)  # looked at each 0.25 s, and half a second is not more than that
+    assert world.now == pytest.approx(1.75)  # the player checks every 0.25 s; exactly 0.5 s do not exceed the limit
     world = World(monkeypatch, until=0.1)
     Law(world, ["/in"], ["/out"], delay=lambda data: 1e12)
     with pytest.raises(RunError, match=r"^stopped at t = 0.005 s$"):

@@ -214,8 +214,8 @@ def test_a_full_disk_ends_the_recording_with_a_readable_bag(rig, tmp_path, stora
 
 
 def test_losses_are_counted_and_reported(rig, tmp_path):
-    # Who is stopped for longer than the lease of 3 s counts as dead, and what it then misses as sent to nobody: on a
-    # loaded machine the burst alone takes that long.
+    # A node that is stopped for longer than the lease of 3 s counts as dead, and messages that it misses then do not
+    # count as lost. On a loaded machine the burst alone takes that long.
     patient = tmp_path / "patient.xml"
     patient.write_text(PROFILE.read_text().replace("<sec>3</sec>", "<sec>600</sec>"))
     rig.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(patient)
@@ -352,7 +352,7 @@ def test_the_timeout_of_publishers_is_that_of_the_profile(tmp_path, monkeypatch)
     own.write_text(PROFILE.read_text().replace("<sec>3</sec>", "<sec>DURATION_INFINITY</sec>"))
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(own))
     assert patience() == float("inf")
-    own.write_text("<profiles/>")  # then those of Fast DDS
+    own.write_text("<profiles/>")  # a profile without durations: the defaults of Fast DDS hold
     assert patience() == 17.0
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
     assert patience() == 2.5
@@ -646,7 +646,8 @@ def test_two_interrupts_in_a_row_end_without_a_traceback(rig, tmp_path, tool):
         process.send_signal(signal.SIGINT)
     status, output = finish(process)
     assert "Traceback" not in output
-    assert status in (0, 130, -signal.SIGINT)  # the last case: before Python has started
+    # a negative status: the signal arrived before Python had installed its handler
+    assert status in (0, 130, -signal.SIGINT)
 
 
 @pytest.mark.long

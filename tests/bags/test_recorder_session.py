@@ -154,11 +154,12 @@ def test_selected_topics_are_subscribed_as_they_appear_and_failures_are_reported
     assert node.asked == [" ".join(f"/recorder:{name}" for name in ("/left", "/odd", "/own"))]
     node.publish("/b", HEADER, node="recorder")
     recorder._discover()
-    assert list(node.subscriptions) == ["/a", "/two"]  # its own
+    assert list(node.subscriptions) == ["/a", "/two"]  # a topic that only the recorder itself publishes is not recorded
     node.publish("/b", HEADER, profile=QoSProfile(depth=10, reliability=BEST))
     recorder._discover()
     assert list(node.subscriptions) == ["/a", "/two", "/b"]
-    assert node.subscriptions["/b"].profile.reliability == BEST  # of other nodes only
+    # the reliability follows from the publishers of other nodes only
+    assert node.subscriptions["/b"].profile.reliability == BEST
     assert len(node.errors) == 2  # each error is logged once
     assert [t.name for t in writer.topics] == ["/a", "/two", "/b"]
     assert writer.topics[0].offered[0].durability == QosDurability.TRANSIENT_LOCAL
@@ -179,7 +180,7 @@ def test_a_topic_whose_publisher_changes_its_type_is_subscribed_again(made, tmp_
     node.subscriptions["/a"].callback(Layout(FLOAT).encode(0, (1.0,)))
     node.publishers["/a"] = []
     node.publish("/a", "odd_msgs/msg/Odd")
-    recorder._discover()  # keeps what it has
+    recorder._discover()  # the existing subscription is kept
     node.publish("/a", HEADER)
     recorder._discover()
     node.subscriptions["/a"].callback(header(30))
@@ -207,7 +208,8 @@ def test_a_message_is_written_under_its_stamp_or_its_time_of_arrival(made, tmp_p
     writer.close()
     topics = read_bag(tmp_path / "bag").topics
     assert topics["a"].times == ([40, 70] if stamped else [200, 300])
-    assert topics["bare"].times == ([0, 70] if stamped else [100, 400])  # the newest stamp of all
+    # a message without a stamp gets the newest stamp of all topics
+    assert topics["bare"].times == ([0, 70] if stamped else [100, 400])
 
 
 def test_messages_sent_before_the_start_are_counted_by_stamps_whatever_the_bag_time(made):
@@ -248,13 +250,14 @@ def test_losses_are_added_up_over_subscriptions_and_reported(made):
     recorder._flush()
     assert recorder.lost == {"/a": 5, "/b": 1}
     assert recorder.losses() == "LOST 6: /a: 5, /b: 1"
-    assert node.errors == ["messages lost so far: /a: 3", "messages lost so far: /a: 5, /b: 1"]  # each report once
+    # each number of lost messages is reported once
+    assert node.errors == ["messages lost so far: /a: 3", "messages lost so far: /a: 5, /b: 1"]
     events.due.append(("/a", unfit, None))
     recorder._flush()
     events.due.append(("/a", lost, SimpleNamespace(total_count=4)))
     recorder._flush()
     assert recorder.lost == {"/a": 9, "/b": 1}
-    assert [t.name for t in writer.topics] == ["/a", "/b"]  # declared once
+    assert [t.name for t in writer.topics] == ["/a", "/b"]  # each topic is declared once
     writer.flush()
     assert writer.count == 2  # the messages that waited
     writer.close()
@@ -454,7 +457,7 @@ def test_a_session_waits_in_slices_of_a_tenth_of_a_second_until_a_signal(session
     made.spin(1.0)
     assert (spun, made.stopped) == ([], True)
     made.settle()
-    assert spun == [(False, 0.0)]  # also after the signal
+    assert spun == [(False, 0.0)]  # messages that arrived before the signal are still received
     made, spun = session(stop=4)
     spun.clear()
     made.spin(9.0)

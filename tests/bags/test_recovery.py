@@ -80,7 +80,7 @@ def test_of_a_truncated_file_all_whole_messages_before_the_cut_remain(tmp_path, 
         assert results == [k for k, end in enumerate(ends) if end <= cut], cut
         broken = next(((at, chunk) for at, end, chunk in stretches if at <= cut < end), None)
         lost = []
-        if broken and cut - broken[0] >= 9:  # the head of a record is there
+        if broken and cut - broken[0] >= 9:  # the cut leaves the head of the record intact
             lost = ["the end of a chunk that was cut"] if broken[1] else [f"the last {cut - broken[0]} bytes"]
         assert recovery.lost == lost, cut
 
@@ -91,7 +91,7 @@ def test_a_chunk_with_a_changed_byte_is_lost_and_no_other(tmp_path, monkeypatch,
     (_, _, begin, end) = [r for r in records(content, 8) if r[0] == CHUNK][1]
     data, length = chunk_parts(content, begin)
     file = tmp_path / "changed.mcap"
-    for at in (*range(data, data + length, 11), begin + 24):  # and its checksum
+    for at in (*range(data, data + length, 11), begin + 24):  # the last place is the chunk's checksum
         file.write_bytes(content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :])
         recovery = Recovery(file)
         assert [r.log_time for r in recovery if isinstance(r, Message)] == [0, 1, 2, 6, 7, 8], at

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 def test_the_script_names_the_parts_from_anywhere(tmp_path):
     (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
     command = [ROOT / "scripts/softrig", "bench", "--help"]
-    # the environment of a plain shell
+    # The environment of a shell without softrig's variables.
     unpinned = {name: value for name, value in os.environ.items() if name not in bits.PINS}
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=unpinned)
     assert (result.returncode, result.stderr) == (0, "")  # no warning that numpy was loaded before softrig

@@ -36,7 +36,7 @@ print(len(sys.modules), file=sys.stderr)
 
 def test_a_start_loads_only_what_it_needs(tmp_path):
     assert started([RUN, ["bag", "info", "r/bag"]], ("ssl", "numpy.ma"), tmp_path) <= 750
-    # A page of a run with pictures needs no rig; numpy and pydantic read the bag and the figures.
+    # The report of a run with pictures is made without the rig; numpy and pydantic read the bag and the figures.
     assert started([["report", "r"]], ("ssl", "numpy.ma", "softrig_core.rig", "softrig_core.block"), tmp_path) <= 440
 
 

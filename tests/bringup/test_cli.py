@@ -353,7 +353,7 @@ def test_a_run_that_missed_most_deadlines_does_not_pass(folder, monkeypatch, cap
     first = capsys.readouterr().err.partition("\n")[0]
     slow = first.startswith("softrig: the machine did not keep up: plant missed 76.8 % of its deadlines; ")
     slow &= first.endswith("of a slower loop, --mode container is faster")
-    assert slow == (options != ["--max-missed", "76.8"])  # 76.8 is just the allowed value
+    assert slow == (options != ["--max-missed", "76.8"])  # the run missed exactly 76.8 %, which is allowed
 
 
 def test_work_that_was_late_is_named_first(folder, monkeypatch, capsys):
@@ -441,7 +441,8 @@ def test_a_node_explains_itself():
     assert "run.mode = 'realtime'" in done.stdout
 
 
-# Stands in for Python, uv and what they make: a set-up in a second without a network. Each leaves its arguments.
+# A script replaces Python, uv and what they install, so that set-up takes a second without a network. It logs its
+# arguments.
 STUB = """#!/bin/bash
 echo "$(basename "$0") $*" >>"$HOME/calls"
 case "$*" in
@@ -489,7 +490,8 @@ def test_a_call_that_waited_for_another_set_up_uses_its_result(bare, tmp_path):
     assert f"export SOFTRIG_SCENARIOS={tmp_path}/config/scenarios" in first
     assert "export AMENT_PREFIX_PATH=/built" in first
     installs = [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c]
-    assert [c.split()[0] for c in installs] == ["python", "uv"]  # pip gets uv, uv the rest, once
+    # pip installs uv, and uv installs everything else, both once
+    assert [c.split()[0] for c in installs] == ["python", "uv"]
     assert all("--require-hashes" in c for c in installs)
 
 
@@ -501,15 +503,15 @@ def test_pip_is_used_without_uv_and_a_shared_environment_is_not_installed_twice(
     assert softrig("setup", NO_UV="1", SOFTRIG_WHEELS="bin").returncode == 0
     installs = [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c]
     assert len(installs) == 2
-    for call in installs:  # by pip, verified, and nothing from the network
+    for call in installs:  # pip installs from the folder, verifies the digests and does not use the network
         assert call.startswith("python -m pip install ")
         assert f" --require-hashes --no-index --find-links {tmp_path}/bin -r {tmp_path}" in call
-    shutil.rmtree(tmp_path / ".ws")  # as another checkout whose .venv is a link to this one
+    shutil.rmtree(tmp_path / ".ws")  # simulates another checkout whose .venv is a link to this one
     assert softrig("setup").returncode == 0
     assert [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c] == installs
     (tmp_path / ".venv" / "share" / "softrig" / "run").unlink()
     shutil.rmtree(tmp_path / ".ws")
-    assert softrig("setup", SOFTRIG_WHEELS="bin").returncode == 0  # by uv, nothing from the network either
+    assert softrig("setup", SOFTRIG_WHEELS="bin").returncode == 0  # uv does not use the network either
     (call,) = [c for c in (tmp_path / "calls").read_text().splitlines() if c.startswith("uv ")]
     assert f"--require-hashes --build-constraints {tmp_path}/.ws/run.txt --require-build-hashes --no-index" in call
     text = softrig("setup", "tables")
@@ -517,7 +519,7 @@ def test_pip_is_used_without_uv_and_a_shared_environment_is_not_installed_twice(
     assert "setup tables: no such set; there are run uv" in text.stderr
     python = tmp_path / ".venv" / "bin" / "python"
     for gone in (lambda: shutil.rmtree(tmp_path / ".venv"), lambda: (python.unlink(), python.symlink_to("/gone"))):
-        gone()  # .venv removed by hand; the Python that it was made of uninstalled
+        gone()  # the user has removed .venv, or uninstalled the Python that made it
         text = softrig("setup", "run")
         assert (text.returncode, python.is_file()) == (0, True), text.stderr
 
@@ -535,7 +537,8 @@ def test_kilteds_wheels_are_set_up_beside_jazzys_and_remembered(bare, tmp_path):
     assert softrig("setup", SOFTRIG_DISTRO="rolling").returncode == 2
     assert softrig("setup", "--distro", "kilted").returncode == 0
     wanted = (tmp_path / ".kilted" / ".ws" / "run.txt").read_text()
-    pinned = dict(re.findall(r"^([\w-]+)==(\S+)", wanted, re.M))  # the last where a package differs by Python
+    # a package with several entries, one for each Python, keeps the last
+    pinned = dict(re.findall(r"^([\w-]+)==(\S+)", wanted, re.M))
     lines = re.findall(r"^([\w-]+==\S+) ; .*", (SCRIPTS / "locks/distro/kilted.lock").read_text(), re.M)
     assert all(wanted.count(f"\n{line} ;") == 1 for line in lines)
     assert "ros-kilted-rclpy" in pinned
@@ -544,7 +547,7 @@ def test_kilteds_wheels_are_set_up_beside_jazzys_and_remembered(bare, tmp_path):
     others = {name: version for name, version in pinned.items() if not name.startswith("ros-")}
     assert others == {name: version for name, version in jazzys.items() if not name.startswith("ros-")}
     assert not (tmp_path / ".ws").exists()
-    assert f"VIRTUAL_ENV={tmp_path}/.kilted/.venv" in softrig("env").stdout  # later calls, too
+    assert f"VIRTUAL_ENV={tmp_path}/.kilted/.venv" in softrig("env").stdout  # later calls use the same environment
     assert f"VIRTUAL_ENV={tmp_path}/.venv" in softrig("env", SOFTRIG_DISTRO="jazzy").stdout
     assert softrig("setup", "--distro", "jazzy").returncode == 0
     assert f"VIRTUAL_ENV={tmp_path}/.venv" in softrig("env").stdout
@@ -562,7 +565,8 @@ def test_a_read_only_checkout_has_its_set_up_in_the_cache_or_one_line(bare, tmp_
     printed = subprocess.run(command, env=bare, capture_output=True, text=True)
     if printed.returncode in (1, 77):
         pytest.skip("mounts are not permitted here")
-    cache = re.escape(f"{tmp_path}/.cache/softrig/checkout-") + r"\d+"  # which is in the same place here
+    # the default cache is inside the same read-only folder in this test
+    cache = re.escape(f"{tmp_path}/.cache/softrig/checkout-") + r"\d+"
     assert printed.returncode == 2
     assert re.fullmatch(f"softrig: cannot set up in {cache}: {line}", printed.stderr)
 
@@ -677,7 +681,8 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_complete(folder, mo
     monkeypatch.setattr("softrig_bringup.run.run.write_bag", write_bag)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
-    assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0  # its list of files was closed too
+    # the interrupted run has completed its list of files, so that another run may replace it
+    assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0
 
 
 @pytest.mark.long

@@ -107,7 +107,7 @@ def test_quiet_prints_nothing_and_the_status_is_the_result(tmp_path, capsys):
     assert capsys.readouterr() == ("", "")
     assert main(["list", "-q", "--figures", "final_value"]) == 0
     assert main(["list", "--figures", "final_value"]) == 0
-    assert "Last value" in capsys.readouterr().out  # only without -q
+    assert "Last value" in capsys.readouterr().out  # these lines are printed only without -q
     assert main(["bag", "info", "--quiet", str(tmp_path / "run" / "bag")]) == 0  # this verb has its own parser
     assert capsys.readouterr() == ("", "")
     assert main(["run", "-q", "dc_motor_smc_b9000", "--mode", "inprocess"]) == 2

@@ -21,7 +21,8 @@ from softrig_core import list_scenarios
 ROOT = Path(__file__).parents[2]
 DOCKERFILE = ROOT / ".devcontainer" / "Dockerfile"
 DEVCONTAINER = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
-WORKFLOW = yaml.load((ROOT / ".github" / "workflows" / "rigs.yml").read_text(), yaml.BaseLoader)  # `on` is a word
+# BaseLoader, because YAML reads the key `on` as true
+WORKFLOW = yaml.load((ROOT / ".github" / "workflows" / "rigs.yml").read_text(), yaml.BaseLoader)
 SET_UP = ("setup",)  # verbs of scripts/softrig itself
 OF_THE_IMAGE = ("apt-get", "useradd")
 
@@ -77,7 +78,7 @@ def test_every_command_is_one_that_softrig_knows(command):
     assert os.access(ROOT / script, os.X_OK)
     if script == "scripts/test" or words[0] in SET_UP:
         return
-    options = make_parser().parse_args(words)  # ends the test where an option is unknown
+    options = make_parser().parse_args(words)  # the parser exits if an option is unknown
     named = getattr(options, "scenarios" if words[0] == "check" else "scenario")
     assert ({named} if isinstance(named, str) else set(named)) <= set(list_scenarios())
 

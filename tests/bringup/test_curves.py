@@ -227,7 +227,8 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
         (measures.mean, None, None, {}, []),
         (measures.final_value, BETWEEN, None, {"scale": 2.0}, [("value", 0.75, 1.25, math.nan, -INF, INF)]),
         (measures.mean_square, BETWEEN, None, {}, []),  # has no place in a picture over time
-        # extremes: a bound everywhere, a value beside where it is reached, 0.06 of the window to either side
+        # Extremes: a bound is drawn over the whole window, a value beside its instant, 0.06 of the window to either
+        # side.
         (measures.maximum, {"expected": 5.0, "tolerance": 0.5}, None, {}, [("value", 4.5, 5.5, math.nan, 2.76, 3.24)]),
         (measures.maximum, None, 2.9, {}, [("value", math.nan, math.nan, 2.9, 1.76, 2.24)]),
         (measures.maximum, MOST, None, {"start": 1.0}, [("value", -INF, 2.0, math.nan, 1.0, INF)]),
@@ -240,13 +241,14 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
          [("value", -0.5, 0.5, math.nan, -0.24, 0.24)]),  # the largest deviation below the reference
         (measures.peak, MOST, None, {"reference": 1.0}, [("value", -INF, 3.0, math.nan, -INF, INF)]),
         (measures.peak, BETWEEN, None, {"reference": "s"}, []),
-        # instants, from the beginning or from where the rise begins
+        # Instants are measured from the beginning of the window or of the rise.
         (measures.reach_time, BETWEEN, 2.2, {"level": 3.0}, [("time", 1.5, 2.5, 2.2, -INF, INF)]),
         (measures.error_settling_time, MOST, None, {"band": 0.1}, [("time", -INF, 2.0, math.nan, -INF, INF)]),
         (measures.settling_time, BETWEEN, 1.0, {}, [("time", 1.5, 2.5, 1.0, -INF, INF)]),
         (measures.settling_time, BETWEEN, 1.0, {"start": 1.0}, [("time", 2.5, 3.5, 2.0, 1.0, INF)]),
         (measures.rise_time, BETWEEN, None, {"final": 5.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),  # 1 V at 1 s
-        (measures.rise_time, BETWEEN, None, {"final": 10.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),  # just so much
+        # the lowest level that still counts
+        (measures.rise_time, BETWEEN, None, {"final": 10.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),
         (measures.rise_time, BETWEEN, None, {"low": 0.5}, [("time", 3.5, 4.5, math.nan, -INF, INF)]),
         (measures.rise_time, BETWEEN, None, {"final": 99.0, "low": 0.2}, []),  # the rise never begins
         (measures.overshoot, {"expected": 25.0, "tolerance": 5.0}, 10.0, {}, [("value", 4.8, 5.2, 4.4, -INF, INF)]),
@@ -287,7 +289,7 @@ class Fixed(Judge):
         ([(1.0, 2.0)], [(1.0, 2.0)]),
         ([(0.0, 1.0), (1.099, 2.0), (2.2, 10.0)], [(0.0, 2.0), (2.2, 10.0)]),  # a hundredth of ten seconds
         ([(0.0, 1.0), (1.0, 1.5), (1.5, 1.6)], [(0.0, 1.6)]),
-        ([(0.0, 0.5), (1.5, 100.0)], [(0.0, 100.0)]),  # just so near
+        ([(0.0, 0.5), (1.5, 100.0)], [(0.0, 100.0)]),  # the largest distance at which points are merged
         ("not judged", []),
     ],
 )
@@ -346,7 +348,7 @@ def test_each_kind_of_mark_is_drawn_as_expected(scale, name):
         entries = draw_marks(ax, marks, scale)
         ax.set_title(f"{about}: {', '.join(name for _, name in entries) or 'nothing'}", loc="left")
     check_expected(f"pictures/{name}", (line for line in figure_lines(figure) if not line.strip().startswith("linear")))
-    assert not any(t.get_in_layout() for ax in figure.axes for t in ax.texts)  # a name does not press the axes flat
+    assert not any(t.get_in_layout() for ax in figure.axes for t in ax.texts)  # a long name does not shrink the axes
 
 
 # axes ------------------------------------------------------------------------------------------------------------
@@ -419,10 +421,11 @@ def boxed(names, width, title="", marks=()):
     ("names", "width", "more", "result"),
     [
         (["a", "b"], 55, {}, (["a", "b"], 2, "")),
-        (["aaaa", "b", "c"], 20, {}, (["aaaa", "b", "c"], 2, "")),  # six letters more each
+        (["aaaa", "b", "c"], 20, {}, (["aaaa", "b", "c"], 2, "")),  # each name needs six more letters of width
         (["aaaa", "b", "c"], 9, {}, (["aaaa", "b", "c"], 1, "")),
         (["a b c d"], 4, {"title": "it"}, (["a b\nc d"], 1, "it")),
-        (["a", "", "c"], 55, {"marks": ["limit"]}, (["a", "c", "limit"], 3, "")),  # not what has no value here
+        # names without a value in this picture are left out
+        (["a", "", "c"], 55, {"marks": ["limit"]}, (["a", "c", "limit"], 3, "")),
         ([""], 55, {}, None),
         (["a"] * 8, 200, {}, (["a"] * 8, 8, "")),
         (["a"] * 9, 200, {}, "9 signals, dark to light from first to last"),
@@ -474,13 +477,13 @@ def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, colum
     ("silent", "most", "drawn"),
     [
         ([], None, ["Own", "Outside", "Less", "Both", "overview"]),
-        (["o"], None, ["Own", "Both", "overview"]),  # nothing but what an outside node did not publish has no picture
+        (["o"], None, ["Own", "Both", "overview"]),  # only topics that an external node did not publish have no picture
         # a silent topic of an internal node is named in its own picture
         (["o", "t"], None, ["Own", "Both", "overview"]),
         (["t"], None, ["Own", "Outside", "Less", "Both", "overview"]),
         (["o"], 1, ["Own"]),
         ([], 3, ["Own", "Outside", "Less"]),
-        (["o"], 3, ["Own", "overview"]),  # fewer than asked for
+        (["o"], 3, ["Own", "overview"]),  # fewer pictures than requested
     ],
 )
 def test_each_plot_of_a_run_is_drawn_except_signals_that_never_arrived(monkeypatch, tmp_path, silent, most, drawn):
@@ -530,7 +533,7 @@ def test_a_legend_of_a_run_has_room_for_110_letters(monkeypatch):
     monkeypatch.setattr(pictures, "legend", lambda ax, curves, title, width, marks: widths.append(width))
     source = SimpleNamespace(shown=lambda entry, name: curve([0.0, 0.5, 3.0], label=name))
     pictures._time_figure(source, PlotEntry(title="It", signals={"a": "", "b": ""}), {})
-    pictures._time_figure(source, PlotEntry(title="It", signals={"a": ""}), {})  # one needs none
+    pictures._time_figure(source, PlotEntry(title="It", signals={"a": ""}), {})  # one curve needs no legend
     assert widths == [110]
 
 

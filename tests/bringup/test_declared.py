@@ -52,7 +52,8 @@ OTHERS = {"motulator", "gym_electric_motor", "jax"}  # compared with where someb
 
 
 RELEASED = ("softrig_core", "softrig_nodes", "softrig_bags")  # packages that a distribution may include
-WAITS_FOR = {"softrig_bags": ["python3-rosbags-pip"]}  # Debian has it since trixie, rosdistro knows pip's alone
+# Debian has it since trixie, but rosdistro has only the key of pip
+WAITS_FOR = {"softrig_bags": ["python3-rosbags-pip"]}
 TEMPLATE = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup/template/package.xml.template"
 
 
@@ -163,7 +164,7 @@ def test_our_own_keys_match_the_projects_pip_requirements():
     for key, systems in OWN.items():
         name = key.removeprefix("python3-").removesuffix("-pip")
         pip = {"pip": {"packages": [wanted[name]]}}
-        if key in KEYS["system"]:  # too old there; elsewhere as rosdistro has it
+        if key in KEYS["system"]:  # Debian's version is too old there; on other systems rosdistro's entry applies
             assert systems == {s: {old: pip, "*": [key]} for s, old in (("debian", "bookworm"), ("ubuntu", "noble"))}
         else:
             assert systems == dict.fromkeys(("debian", "ubuntu"), pip)

@@ -175,7 +175,7 @@ def violations(html, folder):
     return result
 
 
-COLOURS = ["color-contrast", "link-in-text-block"]  # the others do not look at them
+COLOURS = ["color-contrast", "link-in-text-block"]  # the other rules do not check colours
 ASK = """
 const [rules, done] = arguments;
 const told = v => [v.id, v.nodes.length, v.nodes[0].html.slice(0, 160)];

@@ -17,7 +17,7 @@ from softrig_core import Signals, load_scenario, rig_of, simulate
 from softrig_core.drawing import PALETTE, as_dict, drawing_for
 from softrig_core.rig.members import signal_units
 
-# one of each plant that is drawn, and of each of its ways to be wired
+# One scenario of each plant with a drawing, and of each of its wirings.
 DRAWN = [
     "arm_computed_torque", "bldc_six_step", "buck_pi", "buck_pi_boost", "im_foc",
     "dc_motor_smc", "dc_motor_smc_b2", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc",
@@ -28,7 +28,7 @@ DRAWN = [
 ]  # fmt: skip
 
 
-# of a unit, what makes a drawing move without leaving it
+# By unit: values that move a drawing within its sheet.
 SCALES = {"V": 60.0, "A": 6.0, "rad/s": 40.0, "rad": 1.0, "m": 0.08, "N m": 2.0, "Wb": 0.8, "": 0.7, "N": 20.0,
           "W": 40.0, "W/m^2": 900.0, "km": 80.0, "mm": 20.0, "MW": 80.0, "packet": 100.0, "deg": 30.0,
           "m/s": 0.3}  # fmt: skip

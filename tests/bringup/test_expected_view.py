@@ -487,7 +487,7 @@ def test_the_drawing_moves_in_equal_steps_between_updates(drawn):
     source, control = live(drawn, end=2.5)
     document, page = page_of(source, control, look="dark")
     text = named(document, "drawing")
-    assert (page._at, text.text) == (1.0, "1.456, 60 before it from 1.456, dark")  # the newest that has come
+    assert (page._at, text.text) == (1.0, "1.456, 60 before it from 1.456, dark")  # the newest received value
     source.end, page._at, page._ahead = 0.0, 0.0, 0.0
     at = []
     for end in (0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.2):
@@ -521,7 +521,7 @@ def test_a_browser_that_has_not_shown_the_last_state_gets_no_other(drawn):
     named(document, "echo").text = "3"
     page.update()  # nothing is new
     assert named(document, "beat").text == "3"
-    source.version += 1  # a picture is, and no table is due
+    source.version += 1  # only the picture is new; the table is not due yet
     page.update()
     assert named(document, "beat").text == "5"
 
@@ -557,7 +557,7 @@ def test_a_recording_is_played_at_its_pace_and_shows_its_values_at_the_cursor(dr
         for _ in range(frames):
             page.update()
             results.append(line.value)
-    # from the beginning after the end, which is shown
+    # after its end, which is shown, the recording starts again
     assert results == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0, 0.05, 0.1, 0.104, 0.108, 0.308, 0.0])
     line.value = 0.2
     assert page._cursor.location == line.value

@@ -66,13 +66,13 @@ def measure_of(space, name):
 @pytest.mark.long
 def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_response():
     response = simulate(loop([LOAD, 0.0], [0.0, PERIOD])).signals["motor/state/shaft/velocity"].x
-    bound = np.abs(response).sum()  # of a load torque of LOAD at most, whatever its course
+    bound = np.abs(response).sum()  # the largest response to any load torque of at most LOAD
     space = space_of(loop([0.0] * PIECES), [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")])
     match = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1)
     assert 0.98 * bound < 1.0 - match.least < bound * (1.0 + 1e-9)
     assert match.runs <= 300
     at_random = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1, sampler="random")
-    assert (1.0 - at_random.least) < 0.8 * bound  # random search alone does not come near
+    assert (1.0 - at_random.least) < 0.8 * bound  # random search alone does not reach it
     assert match.trace == sorted(match.trace, reverse=True)
 
 
@@ -194,13 +194,14 @@ def test_corners_come_first_and_coordinate_search_finds_the_violating_one():
     match = search([12], measure, 200, seed=3)
     low, high = (0.0,) * 12, (1.0,) * 12
     assert asked[:2] == [low, high]
-    assert all(u in (0.0, 1.0) for p in asked[:20] for u in p)  # a tenth of the budget
+    assert all(u in (0.0, 1.0) for p in asked[:20] for u in p)  # the first tenth of the budget tries corners
     assert any(0.0 < u < 1.0 for u in asked[20])
     assert len(set(asked[:20])) == 20
     assert match.least == -0.5
     asked.clear()
     search([4, 8], measure, 200, seed=3)
-    assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]  # together, then each profile
+    # first all profiles together, then each one alone
+    assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]
 
 
 def test_profiles_are_constant_before_they_are_searched_piece_by_piece():
@@ -218,7 +219,7 @@ def test_profiles_are_constant_before_they_are_searched_piece_by_piece():
 
     runs, asked = asked_until([6, 6], 0)
     held = [len(set(p[:6])) == 1 and len(set(p[6:])) == 1 for p in asked]
-    assert all(held[8:40][: runs - 8])  # after eight corners, to a fifth of the budget
+    assert all(held[8:40][: runs - 8])  # samples between eight corners and a fifth of the budget
     assert sorted(asked_until([6, 6], seed)[0] for seed in range(9))[4] <= 40
 
 
@@ -382,7 +383,8 @@ def test_a_package_that_a_range_needs_is_named_before_anything_is_written(file, 
     assert main([*given, "--out", str(tmp_path / "a")]) == 2
     assert "falsify needs the package 'optuna'" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
-    assert main([*given, "--sampler", "random", "--out", str(tmp_path / "a")]) == 0  # this one needs none
+    # random sampling needs no optimiser
+    assert main([*given, "--sampler", "random", "--out", str(tmp_path / "a")]) == 0
 
 
 @pytest.mark.parametrize("wrong", ["figures: {peak: {arguments: {signal: motor/nowhere}}}", "cites: [nobody1999]"])

@@ -192,7 +192,7 @@ def test_for_one_number_optunas_estimator_proposes_four_points_at_a_time():
 
     search([1], measure, 24, seed=7)
     corners, *remaining = list(asked)
-    assert corners == [(0.0,), (1.0,)]  # there are no others
+    assert corners == [(0.0,), (1.0,)]  # one parameter has two corners only
     for seed, batches in (
         (7, remaining[:4]),
         (8, remaining[4:]),
@@ -327,10 +327,10 @@ def test_a_violation_of_level_steps_stays_level():
         (Over(0.0, 8.0, key="n.k"), 8.0, 0.0, False, 3.0, 3.0),
         (Over(0.0, 8.0, key="n.k"), 2.0, 8.0, False, -1.0, None),  # the nominal value violates the requirement too
         (Over(0.01, 100.0, log=True, key="n.k"), 0.01, 100.0, False, 0.1, 0.1),
-        (Over(1.0, 9.0, log=True, key="n.k"), 0.0, 9.0, False, 3.0, 3.0),  # no logarithm of what it is now
+        (Over(1.0, 9.0, log=True, key="n.k"), 0.0, 9.0, False, 3.0, 3.0),  # the nominal value has no logarithm
         (Over(0.0, 50.0, key="n.k"), 0, 50, True, 17, 17),
         (Over(0.0, 8.0, count=2, key="n.v"), [0.0, 4.0], [8.0, 7.0], False, 3.0, [3.0, 5.125]),
-        # another length: the value is not changed
+        # A list of another length is not changed.
         (Over(0.0, 8.0, count=2, key="n.v"), [0.0], [8.0, 7.0], False, 3.0, [8.0, 7.0]),
     ],
 )  # fmt: skip
@@ -347,7 +347,7 @@ def test_a_parameter_is_moved_back_as_far_as_the_violation_lasts(over, nominal, 
         return not level and (first(changes) >= limit if up else first(changes) <= limit)
 
     seen, (_, result) = tried(of(over, nominal=(nominal,), whole=(whole,)), {over.key: worst}, violates)
-    assert seen[0][1] == {}  # first of all, not changed
+    assert seen[0][1] == {}  # the first run is the unchanged scenario
     if left is None:
         assert result == {}
     elif whole or left == worst:

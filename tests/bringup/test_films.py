@@ -58,7 +58,7 @@ def test_a_frame_has_the_newest_value_of_each_signal_and_none_before_its_first()
     b = Signal(np.array([0.12]), np.array([-1.0]))
     made = film(shows(), {"a": a, "b": b, "other": a}, 0.0, 0.2, 1.0)
     rows = [frame[0][0] for frame in made.frames]
-    assert [row["a"] for row in rows] == [1.0, 1.0, 2.0, 3.0, 4.0]  # at the same instant, but for what is rounded
+    assert [row["a"] for row in rows] == [1.0, 1.0, 2.0, 3.0, 4.0]  # both rows are of the same instant, up to rounding
     assert [math.isnan(row["b"]) for row in rows] == [True, True, True, False, False]
     assert [set(row) for row in rows] == [{"a", "b"}] * 5
 
@@ -179,7 +179,8 @@ def test_a_shape_is_shifted_as_a_whole_within_rounding(off, shift, where):
 
 
 def test_a_text_stays_for_four_frames_and_is_reused():
-    texts = ["a"] * 4 + ["b"] * 3 + ["c"] + ["a"] * 2  # the c falls between
+    # c appears within the four frames of another text, so it is not shown
+    texts = ["a"] * 4 + ["b"] * 3 + ["c"] + ["a"] * 2
     (_, _, _, _, group) = moving([[Text((20.0, 30.0), text, size=10.0)] for text in texts])
     (text,) = group
     spans = [(e.text, e.get("y")) for e in text if e.tag.endswith("tspan")]
@@ -265,7 +266,8 @@ def test_a_line_has_its_points_and_its_width():
     assert shade(image, 28.5, 38.5) != "alarm"
     thin = drawn(Line(((30.0, 40.0), (90.0, 40.0)), "alarm", 0.2))
     assert inked(drawn(Line(((30.0, 40.0), (30.0, 70.0)), "line", 1.0)), "line")[1::2] == pytest.approx((40, 70), abs=1)
-    assert min(thin.getpixel((50, y))[1] for y in range(15, 25)) < 220  # a line of no width would not be seen
+    # a line of 0.2 px is still visible
+    assert min(thin.getpixel((50, y))[1] for y in range(15, 25)) < 220
     assert drawn(Line(((30.0, 40.0), (90.0, 40.0)), "alarm", 0.0)).getcolors() == [(6000, colour("paper"))]
 
 
@@ -353,7 +355,8 @@ def test_a_moving_picture_repeats_frames_of_a_twentieth_of_a_second(form, durati
         image.load()
         assert (image.info["duration"], image.info["loop"]) == (duration, 0)
         shown = image.convert("RGB")
-    assert shown.getpixel((13, 15)) == pytest.approx(colour("faint"), abs=4)  # the third, shifted by 8
+    # the third of the trail's colours, 8 px to the side
+    assert shown.getpixel((13, 15)) == pytest.approx(colour("faint"), abs=4)
     assert shown.getpixel((3, 15)) == pytest.approx(colour("paper"), abs=4)
 
 

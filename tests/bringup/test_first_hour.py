@@ -66,7 +66,8 @@ class User:
         ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_", "XDG_")
         keep = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
         self.environment = keep | {"COLUMNS": "60", "HOME": str(home)}
-        if " " in str(SOFTRIG):  # the set-up of such a checkout is in the cache of the user who made it
+        # a checkout with a space in its path keeps its set-up in the cache of the user who made it
+        if " " in str(SOFTRIG):
             cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
             self.environment["XDG_CACHE_HOME"] = cache
         self.become = []

@@ -98,7 +98,7 @@ def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, cap
 @pytest.mark.parametrize(
     ("note", "why"),
     [
-        (encode(TICK, "/dc_motor_smc", {"delta": 3.0}), ""),  # the scenario's own
+        (encode(TICK, "/dc_motor_smc", {"delta": 3.0}), ""),  # the value that the scenario already has
         (encode(TICK, "/dc_motor_smc", {"delta": 2.0}), "parameters were changed while it ran"),
         (b"damaged", "parameters may have been changed while it ran"),
     ],
@@ -191,7 +191,7 @@ def test_a_folder_that_is_being_written_belongs_to_one_call(tmp_path, monkeypatc
     first.clear()
     assert main([*RUN, "--duration", "0.1", "--no-plots", "--out", "runs/dc_motor_smc_b2"]) == 2
     assert f"process {os.getpid()} is writing there; expected another folder\n" in capsys.readouterr().err
-    assert main([*RUN, "--no-plots"]) == 0  # a name of ours: beside it
+    assert main([*RUN, "--no-plots"]) == 0  # the folder's name is taken, so the run is stored beside it
     assert "this run goes to runs/dc_motor_smc_b2-2" in capsys.readouterr().err
     assert names(first.path) == [MANIFEST]
     first.close()

@@ -13,7 +13,7 @@ from softrig_bringup.cli import main
 from softrig_bringup.verbs.layouts import files
 from softrig_core import ScenarioError, load_scenario, rig_of, simulate
 
-# of each system the scenario that the README names; where that one has no plots, the one called as the system
+# Of each system the scenario that the README names or, if it has no plots, the one with the system's name.
 SHOWN = {name: scenario if load_scenario(scenario).plots else name for name, (scenario, _) in sentences().items()}
 
 

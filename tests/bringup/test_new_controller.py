@@ -10,7 +10,7 @@ from softrig_bringup.cli import main
 from softrig_bringup.new.controller import replaced
 from softrig_core import ScenarioError, list_scenarios, load_scenario, rig_of
 
-# the scenario of a system that bears another name than the system
+# Systems whose main scenario has another name.
 NAMED = {
     "tcp_aqm": "tcp_aqm_smc",
     "fault_location": "fault_location_500kv",

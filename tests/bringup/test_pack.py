@@ -241,7 +241,7 @@ def test_a_file_that_unpacks_to_more_than_fits_is_refused(tmp_path, monkeypatch)
     monkeypatch.setattr(packed, "MOST", 1 << 19)
     with pytest.raises(ScenarioError, match=r"2 files of \d+ bytes in all, expected at most 10000 of 524288"):
         packed.unpack(bomb, tmp_path / "new")
-    # a size that is not true gives no more than it says
+    # An entry with a wrong size is read up to the declared size only.
     monkeypatch.undo()
     data = bytearray(bomb.read_bytes())
     for head in (b"PK\x03\x04", b"PK\x01\x02"):

@@ -84,7 +84,8 @@ ANIMATIONS = {
 }
 
 
-# each daily one moves other things; a change in the code that draws shows in all of them, in a run in the golden bags
+# Each daily film shows another kind of plant. A change of the drawing code shows in all films, a change of a run in the
+# golden bags.
 DAILY = ("manipulator_adsmc",)
 
 
@@ -188,8 +189,8 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
 
     assert told() == []
     assert told("1.23 s") == ["1.23 has no source"]
-    assert told("0.12 s of 1200") == []  # few digits
-    assert told("\n```yaml\n# a.yaml\nx: 1.234\n```") == []  # what begins in a fence ends there
+    assert told("0.12 s of 1200") == []  # numbers with few digits need no source
+    assert told("\n```yaml\n# a.yaml\nx: 1.234\n```") == []  # a comment that begins in a code block ends with it
     assert told(**{"0.607": ""}) == ["0.607 has no source"]  # a measured value still needs a source
     assert told(**{"3.14": "= pi"}) == ["3.14 is not in this section"]
     assert told("0.608", **{"0.608": "dc_motor_smc.rise_time"}) == ["0.608: the table has 0.60695"]
@@ -249,7 +250,8 @@ def test_every_package_of_a_set_up_is_listed_under_its_licence():
         for name in row.split("|")[2].strip().split(", ")
     }
     lock = (ROOT / "scripts/locks/run.lock").read_text()
-    assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= entries.keys()  # those that every machine gets
+    # packages that are installed on every machine
+    assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= entries.keys()
     assert entries["casadi"] == "LGPL-3.0-or-later"
 
 

@@ -118,7 +118,7 @@ def test_null_is_refused_as_a_node_refuses_it(tmp_path, word):
         params_of(file, NODES)
 
 
-MISREAD = [  # by rcl 9.2, each in another way than YAML; expected to be refused here, with the reason
+MISREAD = [  # texts that rcl 9.2 reads differently from YAML; they are refused here with the reason
     ("/left: {plant/x: {ros__parameters: {k: 1}}, ros__parameters: {k: 2}}", {"plant.k": 2}, "rcl misreads"),
     ("/left: {plant/: {}, ros__parameters: {k: 2}}", {"plant.k": 2}, "rcl misreads"),
     ("law: {ros__parameters: {k: !!str 1}}", {}, "has the tag tag:yaml.org,2002:str"),

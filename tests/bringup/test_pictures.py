@@ -157,7 +157,7 @@ def test_expected_and_published_values_are_drawn_where_the_signal_shows_them(dra
     accepted, published = coloured(ax, ACCEPTED), coloured(ax, PUBLISHED)
     for x0, y0, x1, y1 in ((0.0, 0.4, 1.0, 0.5), (0.5, 0.25, 1.0, 0.35)):  # last and mean, each in its window
         assert any(b == pytest.approx((x0, y0, x1, y1)) for b in accepted), accepted
-    assert any((b[0], b[2]) == pytest.approx((0.8, 1.0)) for b in accepted)  # the time that passes
+    assert any((b[0], b[2]) == pytest.approx((0.8, 1.0)) for b in accepted)  # the accepted interval of the rise time
     assert any((b[1], b[3]) == pytest.approx((0.5, 0.5)) for b in accepted)  # the level of no overshoot
     assert any(b == pytest.approx((0.0, 0.4, 1.0, 0.4)) for b in published)
     assert any((b[0], b[2]) == pytest.approx((0.8, 0.8)) for b in published)
@@ -184,7 +184,8 @@ def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
     marks = marks_of(rig, {"controller_state/e_hip/position": (t, -1e-4 * (t == 5.0))})
     (mark,) = (m for m in marks["controller_state/e_hip/position"] if m.name == "max_error_after_3_s_hip")
     assert (mark.low, mark.high) == pytest.approx((np.radians(-0.00819), np.radians(-0.00741)))
-    assert (mark.start, mark.end) == pytest.approx((5.0 - 0.06 * 7.0, 5.0 + 0.06 * 7.0))  # beside where it is
+    # an extreme is marked beside its instant
+    assert (mark.start, mark.end) == pytest.approx((5.0 - 0.06 * 7.0, 5.0 + 0.06 * 7.0))
 
 
 @pytest.mark.parametrize("final", [{"final": 0.75}, {}])
@@ -274,7 +275,7 @@ def test_followers_are_drawn_behind_the_plant():
         Wire(topic="y", type="T", source="log", readers=("note",)),
     )
     assert columns(Wiring(nodes=nodes, wires=wires)) == [["law"], ["plant"], ["log"], ["note"]]
-    del nodes["plant"], nodes["law"]  # without a plant
+    del nodes["plant"], nodes["law"]  # a rig without a plant is drawn, too
     assert columns(Wiring(nodes=nodes, wires=wires[2:])) == [["log"], ["note"]]
 
 
@@ -282,7 +283,7 @@ def test_followers_are_drawn_behind_the_plant():
     ("to", "result"),
     [
         ({"a": ("d",), "b": ("c", "plant"), "c": ("plant",), "d": ("plant",), "plant": ()}, [["a", "b"], ["d", "c"]]),
-        # c and d are in the middle both, of one neighbour and of three
+        # Both c and d lie at the mean of their neighbours: one and three of them.
         ({"a": ("d", "plant"), "b": ("d",), "c": ("plant",), "d": ("plant",), "plant": ()}, [["a", "b"], ["c", "d"]]),
     ],
 )
@@ -650,8 +651,8 @@ def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
     assert "✗" not in page  # changed runs are compared, not judged
     assert "@article{maarif2021," in page
     assert page.count('class="diagram"') == 2
-    assert page.count('class="plot"') == 5  # one of both, two of each, also where none were drawn
-    assert "<style>@media" not in page  # once, in the page's own
+    assert page.count('class="plot"') == 5  # one picture that overlays both runs and two of each run
+    assert "<style>@media" not in page  # the style occurs once, in the head of the page
 
 
 def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():

@@ -31,7 +31,7 @@ def problems(bench):
 def test_full_throttle_is_just_beyond_the_bounds_of_at1_and_at2(problems):
     full = (1.0,) * 10 + (0.0,) * 10
     assert -0.5 < problems["AT1"].margin(full) < 0.0  # 120 mph after 20 s
-    assert -0.5 < problems["AT2"].margin(full) < 0.0  # 4750 rpm, in hundreds
+    assert -0.5 < problems["AT2"].margin(full) < 0.0  # 4750 rpm; the unit is 100 rpm
     half = (0.5,) * 10 + (0.0,) * 10
     assert problems["AT1"].margin(half) > 10.0
 

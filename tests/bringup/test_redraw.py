@@ -43,7 +43,8 @@ def test_a_run_is_drawn_again_as_it_ran(run, tmp_path, capsys):
     written = capsys.readouterr().out.split()
     assert len(written) == len(rig.scenario.plots)
     assert all(Path(path).read_bytes().startswith(b"%PDF") for path in written)
-    assert main(["draw", "plot", str(run / "bag"), SIGNAL, "--out", str(tmp_path / "bag")]) == 0  # a bag by itself
+    # a bag without a results folder
+    assert main(["draw", "plot", str(run / "bag"), SIGNAL, "--out", str(tmp_path / "bag")]) == 0
 
 
 def test_width_letters_and_title_are_as_requested(run, tmp_path):

@@ -463,7 +463,7 @@ def test_report_shows_parameters_with_units_versions_and_command(make_run):
     assert page.tags.count("details") == len(BLOCKS)
     assert all(f"<summary><code>{node}</code>" in file.read_text() for node in BLOCKS)
     assert " · softrig</title>" in file.read_text()
-    # the scenario's name, not the path of the user's file
+    # The title has the scenario's name, not the path of the file.
     assert "Repeat this runsoftrig run flux_demo --set" in page.text
     for text in ("J0.02 kg m²", "period0.001 s", platform.python_version(), "seed3", "ticks200"):
         assert text in page.text

@@ -64,7 +64,7 @@ def test_the_frames_in_the_bag_are_forward_kinematics_of_its_description(tmp_pat
     assert line.header.frame_id == "base_link"
     end = line.points[-1]
     assert (end.x, end.y, end.z) == pytest.approx(data.oMf[model.getFrameId(tip)].translation.tolist(), abs=1e-12)
-    assert np.ptp(q, axis=0).max() > 1e-6  # it has moved
+    assert np.ptp(q, axis=0).max() > 1e-6  # the joints move during the run
 
 
 def test_frames_are_offered_to_late_subscribers_and_cost_little(tmp_path):

@@ -429,7 +429,7 @@ def test_a_package_needs_no_setup_cfg(listed, sources, tmp_path, capsys, monkeyp
     points = {line.split(" = ")[0].strip(): line.split(" = ")[1] for line in sources[SETUP].splitlines() if ":" in line}
     offers = {NAME: {"console_scripts": points}} if listed else {}
     files = {"pack.json": about(offers=offers)} | {k: v for k, v in sources.items() if k != SETUP}
-    # where it runs there is nothing that it could repeat
+    # A pack without a bag has nothing to repeat.
     assert run(zipped(tmp_path / "x.zip", files), "--trust") == (1 if listed else 2)
     assert (f"package {NAME} has no executable" in capsys.readouterr().err) is not listed
 
@@ -446,7 +446,7 @@ def test_entry_points_and_data_files_are_laid_out_from_the_parsed_files(sources,
     files = {"pack.json": about(offers=offers)} | sources
     folder = packed.opened(zipped(tmp_path / "x.zip", files))
     (package,) = cargo.cargo_of(folder, packed.about(folder)).packages
-    assert package.offers == offers[NAME]  # and not what setup.cfg has
+    assert package.offers == offers[NAME]  # the entry points are read from the pack, not from setup.cfg
     assert sorted(package.share) == [f"share/{NAME}/package.xml", f"share/{NAME}/scenarios/{NAME}.yaml"]
     brought.add_packages("0a", [package])
     prefix = Path(os.environ["AMENT_PREFIX_PATH"].split(os.pathsep)[-1])

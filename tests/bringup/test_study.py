@@ -488,7 +488,7 @@ claims: {largest: {published: 0.1, where: Table I, verdict: refuted, reason: lar
     assert "the verdict refuted does not hold" in capsys.readouterr().out
     content = json.loads((folder / "runs" / "study_gains" / "summaries.json").read_text())
     assert (content["runs"], content["claims"][0]["holds"]) == (2, False)
-    # of another study than the one that is written nothing is judged
+    # Nothing is judged if an option makes the study another one than its file.
     file.write_text(text.replace("LIMIT", "1000"))
     assert main(["study", "gains", "--workers", "1", "--duration", "0.2", "--out", "other"]) == 0
     assert "summaries and claims are not judged: published for the study without other duration" in (
@@ -519,7 +519,8 @@ def test_runs_without_a_value_are_marked_and_counted_and_do_not_improve_the_medi
     rows += [a_row(3, 2.0, 0.4), a_row(4, 2.0, None, never=["settling"]), a_row(5, 2.0, None, never=["settling"])]
     figure = on_paper(pictures._over(rows, "gain.k", ["settling"], {}, banded=True))
     (ax,) = figure.axes
-    assert list(ax.lines[0].get_ydata()) == pytest.approx([0.6, math.nan], nan_ok=True)  # 2 of 3 never get there
+    # two of three runs never reach the level
+    assert list(ax.lines[0].get_ydata()) == pytest.approx([0.6, math.nan], nan_ok=True)
     assert [t.get_text() for t in ax.texts] == ["2 of 3 never"]
     assert ax.get_title(loc="right") == "2 of 6 never"
     assert list(ax.get_xticks()) == [1.0, 2.0]
@@ -545,7 +546,7 @@ def test_a_study_reports_never_for_a_figure_without_a_value(folder, capsys):
         == 0
     )
     out = capsys.readouterr().out
-    assert out.count("never") == 1 + 6  # the head, and a row a run
+    assert out.count("never") == 1 + 6  # once in the head and once in the row of each run
     assert "None" not in out
     page = (folder / "out" / "report.html").read_text()
     assert page.count(">never</td>") == 6
@@ -600,7 +601,7 @@ def test_a_search_finds_the_best_gain_with_any_workers_and_resumes(folder):
     whole = rows_of(study(search=search), folder / "whole")
     assert len(whole) == 24
     best = max(whole, key=lambda r: r["figures"]["last"])
-    assert best["overrides"]["gain.k"] > 3.0  # the more gain, the farther
+    assert best["overrides"]["gain.k"] > 3.0  # a larger gain increases the figure
     file = folder / "whole" / "rows.jsonl"
     file.write_bytes(b"".join(file.read_bytes().splitlines(keepends=True)[:18]))
     again = rows_of(study(search=search), folder / "whole", workers=2)

@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
 def test_a_study_packs_and_repeats_row_for_row(folder, capsys):
     assert main(["pack", "s", "--out", "a.softrig.zip"]) == 0
     assert "4 rows; elsewhere:\n  scripts/softrig study --like a.softrig.zip" in capsys.readouterr().out
-    (folder / "mine.yaml").unlink()  # elsewhere there is none
+    (folder / "mine.yaml").unlink()  # on another machine the file does not exist
     assert main(["study", "--like", "a.softrig.zip", "--workers", "1", "--out", "again"]) == 0
     assert "repeats a.softrig.zip row for row" in capsys.readouterr().out
     rows = [json.loads(line) for line in (folder / "again" / "rows.jsonl").read_text().splitlines()]

@@ -246,7 +246,8 @@ def test_each_grid_point_is_a_separate_sample():
     ]
     result = statistics(given, rows, {})
     assert [(line.group, line.n) for line in result.lines] == [("k 0.01", 4), ("k 0.010001", 4)]
-    assert statistics(study(grid={"n.k": [1, 2]}), [rows[0], rows[4]], {}).lines == []  # single runs are no sample
+    # one run for each case is not a sample
+    assert statistics(study(grid={"n.k": [1, 2]}), [rows[0], rows[4]], {}).lines == []
 
 
 def test_a_summary_without_a_case_is_made_for_each_case():
@@ -330,7 +331,8 @@ def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder,
     noisy = (folder / "scenarios" / "lag.yaml").read_text()
     noisy += "faults: {noise: {link: lag/state, kind: noise, channels: [x], value: [0.02]}}\n"
     (folder / "scenarios" / "noisy.yaml").write_text(noisy)
-    for drawing in ({"scenario": "noisy"}, {"cases": {"a": {}, "b": {"scenario": "noisy"}}}):  # one of them does
+    # one of the scenarios draws random numbers
+    for drawing in ({"scenario": "noisy"}, {"cases": {"a": {}, "b": {"scenario": "noisy"}}}):
         given = study(seeds=3, duration=0.05, **drawing)
         check_seeds(given, drafts_of(given))
 

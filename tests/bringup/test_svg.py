@@ -52,7 +52,7 @@ def points(form):
 # ticks: by matplotlib ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore:The orderOfMagnitude attribute")  # of matplotlib, for another release or two
+@pytest.mark.filterwarnings("ignore:The orderOfMagnitude attribute")  # matplotlib warns of its own deprecated attribute
 @settings(max_examples=60)
 @given(whole_numbers, whole_numbers, st.integers(-8, 6), st.integers(1, 9), st.booleans())
 def test_ticks_and_their_texts_are_those_of_matplotlib(a, b, power, most, whole):
@@ -133,7 +133,8 @@ def test_a_path_has_a_gap_for_missing_values_and_leaves_out_points_on_a_level():
     x, y = np.arange(8.0), np.array([1.0, 1.0, 1.0, math.nan, 5.0, 7.0, math.inf, 2.0])
     assert path(x, y, False, 100.0) == "M0 1l2 0M4 5l1 2M7 2h0"
     assert path(x[:0], y[:0], False, 100.0) == ""
-    assert path(np.array([0.0, 3.0]), np.array([0.0, 1e9]), False, 100.0) == "M0 0l3 1000000"  # no endless numbers
+    # coordinates are limited, so that numbers stay short
+    assert path(np.array([0.0, 3.0]), np.array([0.0, 1e9]), False, 100.0) == "M0 0l3 1000000"
 
 
 def test_a_trajectory_that_returns_is_drawn_once():
@@ -260,7 +261,7 @@ def test_limits_are_those_of_matplotlib(values):
     assert figure().subplots().get_ylim() == (0.0, 1.0)
     fixed = Axis(0.1)
     fixed.see([0.0, 10.0], (0.0,))
-    assert fixed.limits() == (0.0, 11.0)  # no room beyond what sticks
+    assert fixed.limits() == (0.0, 11.0)  # sticky edges get no margin
 
 
 def test_a_curve_is_drawn_at_its_values():

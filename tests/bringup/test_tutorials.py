@@ -60,7 +60,8 @@ def blocks(page: str) -> list[Block]:
 
 
 def script(result: list[Block]) -> str:
-    lines = ["set -eo pipefail", "trap 'jobs -p | xargs -r kill' EXIT"]  # else what runs in the background goes on
+    # otherwise background processes would outlive the test
+    lines = ["set -eo pipefail", "trap 'jobs -p | xargs -r kill' EXIT"]
     lines += [f"cd {shlex.quote(str(ROOT))}", 'eval "$(scripts/softrig env)"', 'cd "$FOLDER"']
     for number, block in enumerate(result):
         if block.kind == "file":

@@ -78,7 +78,7 @@ def forked(*words):
         sys.exit(main([*map(str, words)]))
 
     process = multiprocessing.get_context("fork").Process(target=child)
-    with warnings.catch_warnings():  # the other threads are those of libraries that see to forks
+    with warnings.catch_warnings():  # the other threads belong to libraries that handle forks
         warnings.simplefilter("ignore", DeprecationWarning)
         process.start()
     os.close(writer)
@@ -117,7 +117,7 @@ class Browser:
         from bokeh.document.events import MessageSentEvent
         from bokeh.events import ButtonClick
 
-        # what a client of Python has no call for: the event of a click, as the browser sends it
+        # Bokeh's Python client cannot click; this sends the event that the browser sends.
         self.session._document_patched(MessageSentEvent(self.document, "bokeh_event", ButtonClick(self[name])))
 
     def until(self, condition):
@@ -125,7 +125,7 @@ class Browser:
 
         def seen():
             if self["echo"].text != (beat := self["beat"].text):
-                self["echo"].text = beat  # as the script of the page does: the state is shown
+                self["echo"].text = beat  # the script of the page echoes the beat, so that the state is shown
             return condition()
 
         self.session._connection._loop_until(seen)
@@ -159,7 +159,7 @@ def test_a_run_paused_stepped_and_changed_on_its_page_has_the_bag_of_the_same_ru
         first.says("pace 0.5")
         second.says("pace 0.5")
         second.until(lambda: second["pace"].value == "0.5")
-        second.close()  # in the middle
+        second.close()  # the page leaves while the run continues
         first.press("hold")
         first.until(lambda: "ended" in first["state"].text)
         assert "the run is over" in first["state"].text
@@ -378,7 +378,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     def broken(run, into):
         raise ZeroDivisionError
 
-    with pytest.raises(ZeroDivisionError):  # softrig itself: it ends, and does not wait for ever
+    with pytest.raises(ZeroDivisionError):  # an error of softrig itself ends the run, which does not wait forever
         here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, broken)
 
 
@@ -407,7 +407,7 @@ def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do(monk
     assert ticks(10, lambda k: control.hold("me", "step")) == pytest.approx(100)
     control.hold("me", "resume")
     assert ticks(10, lambda k: None) == pytest.approx(20, abs=1.01)
-    clock.now += 60.0  # of a process that was stopped for a minute nothing is made up for
+    clock.now += 60.0  # the minute in which the process was stopped is not caught up
     assert ticks(1, lambda k: None) == pytest.approx(3, abs=1.01)
 
 
@@ -539,7 +539,7 @@ def test_a_slider_changes_its_parameter_and_follows_it():
     [
         ((0.0, 1.0), 0.0, (0.0, 1.0)),
         ((0.0, 1e4), 0.0, None),
-        ((0.0, 20.0), 0.0, (0.0, 20.0)),  # twenty times 1, or the value, and no more
+        ((0.0, 20.0), 0.0, (0.0, 20.0)),  # a range of up to twenty times the value, or 20, becomes the slider's
         ((0.0, 20.5), 0.0, None),
         ((0.0, 20.0), 0.5, (0.0, 20.0)),
         ((0.0, 21.0), 0.5, (0.0, 2.0)),

@@ -26,7 +26,7 @@ duration: 0.3
 {slow}faults:
   offset: {{link: joint_states -> speed_controller, kind: offset, value: [5.0], active: false}}
 """
-# what the page's own script knows of a widget, by name
+# The properties of a widget in the page's script, by its name.
 MODEL = "Bokeh.documents[0].get_model_by_name(arguments[0])"
 
 
@@ -87,7 +87,7 @@ def test_a_person_uses_the_page_of_the_induction_motor(tmp_path, capsys, pace):
             browser.click("offset/toggle")
             browser.says("offset/toggle: toggle pressed")
             browser.click("hold")
-            if pace == "real time":  # paused, and resumed
+            if pace == "real time":  # pause and resume the run once
                 browser.until(f"return {MODEL}.text.includes('running')", "state")
                 browser.click("hold")
                 browser.until(f"return {MODEL}.text.includes('paused')", "state")

@@ -218,9 +218,9 @@ def test_a_running_run_is_read_from_the_files_of_its_nodes(run, tmp_path, clock)
     version = source.version
     source.read_new()
     published = sum(bool(run.recording.topics[t].times and p.labels) for t, p in run.rig.topics.items())
-    assert source.version == version + published + 1  # a topic each, and a change
+    assert source.version == version + published + 1  # each topic and the change count once
     source.read_new()
-    assert source.waited == 0.0  # all are there
+    assert source.waited == 0.0  # all nodes have started
     assert source.end == pytest.approx(0.1)
     assert source.changes == [(0.05, "dc_motor_smc", {"delta": 1.5})]
     speed = source.pane(0.0, 1.0)["motor/state/shaft/velocity"]
@@ -460,7 +460,7 @@ def test_a_free_port_is_found_at_an_address(address, host):
     try:
         result, port = free_address(address)
     except ScenarioError:
-        assert host == "::1"  # a machine without it
+        assert host == "::1"  # only a machine without IPv6 has no such address
         return
     assert result == host
     assert 1023 < port < 65536
@@ -604,7 +604,7 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
     pages._source.live = True
 
     def done(seconds):
-        pages._worker.submit(lambda: None).result()  # those before it are done
+        pages._worker.submit(lambda: None).result()  # the single worker has finished all earlier measurements
         clock.now += seconds
         (call, words) = pages.server.io_loop.calls.pop()
         call(*words)
@@ -612,7 +612,7 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
     for elapsed, pause in ((0.05, 1.0), (0.3, 3.0)):
         before = len(measured)
         pages.measure()
-        pages.measure()  # one at a time
+        pages.measure()  # a second measurement waits for the first
         assert pages._figures() == (["a result"] if before else (), True)
         done(elapsed)
         assert len(measured) == before + 1
@@ -979,7 +979,7 @@ def test_a_page_that_ends_with_its_run_is_not_restarted(tmp_path, monkeypatch, c
 
 @pytest.mark.parametrize(
     ("scenario", "node", "used", "idle"),
-    [  # by the words before the colon of a description, by nested names, by words in backquotes
+    [  # links are found by the words before a colon, by nested names and by words in backquotes
         ("tcp_aqm_smc", "aqm_controller", {"k1", "boundary", "anti_windup"}, {"l1", "pid_gain", "a"}),
         ("manipulator_adsmc", "vcs_controller", {"v_max", "adsmc.a1"}, {"dsmc.a1", "smc.rho"}),
         ("dc_motor_smc_faults", "noise", {"value", "active"}, {"points", "delay"}),

@@ -13,7 +13,7 @@ SOURCES = {
 }
 PAGES = [ROOT / "README.md", ROOT / ".github/CONTRIBUTING.md", *sorted((ROOT / "ros_pkgs").glob("*/doc/*.md"))]
 
-# persons for things, old adverbs, verbs of speech for messages
+# Words for persons used for things, outdated adverbs, and verbs of speech used for messages.
 AVOIDED = re.compile(
     r"\b(anew|seldom|lest|whomever|wherefore|who (?:reads|says|sends)|(?:is|are) told|hands? (?:on|out)\b(?! of))\b",
     re.IGNORECASE,
@@ -29,7 +29,7 @@ NAMED = re.compile(
     rf"^ {{4,}}(?:[\w, ]+, )?{VAGUE}(?:, [\w, ]+)? = |[(,] ?{VAGUE}: |\bfor (?:\w+, )?{VAGUE}(?:, \w+)? in ",
     re.MULTILINE,
 )
-LEFT = 10  # uses that are left in packages and scripts; lower it with every one that goes
+LEFT = 10  # number of uses left in packages and scripts; lower it with each one that is removed
 # parts of names of functions, classes and fields; `tell` is the standard name beside `ask`
 DEFINED = re.compile(
     r"^ *(?:async )?def (\w+)|^ *class (\w+)|\bself\.(\w+)(?:: [^=\n]+)? = |^    (\w+): ", re.MULTILINE

@@ -48,7 +48,7 @@ def test_a_delay_line_is_a_list_of_samples(seed, native, monkeypatch):
     first = History(step, longest, past)
     kept = [(first.native() if native else first, [past] * size)]
     for _ in range(25):
-        line, rows = kept[-1] if native else rng.choice(kept[-4:])  # native code has but the newest
+        line, rows = kept[-1] if native else rng.choice(kept[-4:])  # native code has only the newest state
         if rng.random() < 0.2:
             line, rows = line.again(), [*rows, rows[-1]]
         else:
@@ -161,7 +161,8 @@ def test_a_track_is_a_list_of_steps(seed, monkeypatch):
             borders = [r[0] for r in held] + [held[-1][0] + held[-1][1]]
             for late in (0, 1):
                 past.meta[1] = late
-                inside = [rng.uniform(borders[0] + 1e-6, borders[-1] + 0.2) for _ in range(4)]  # what counts
+                # delays are read within the kept steps
+                inside = [rng.uniform(borders[0] + 1e-6, borders[-1] + 0.2) for _ in range(4)]
                 for t in (*borders[late:], *inside):
                     wanted = read_at(held, t, late)
                     assert dde.delayed.py_func(past, t, 0) == pytest.approx(wanted, abs=1e-9), (t, late)
@@ -246,7 +247,7 @@ def test_the_newest_answers_are_cached():
     for k in (1, 1, 2, 3, 4, 1, 5, 1, 3, 2):
         assert newest(k)[0] == k
         assert (newest.key, newest.answer) == (k, newest(k))
-    assert asked == [1, 2, 3, 4, 5, 2]  # four are at hand: 2 was the one that had not been asked for longest
+    assert asked == [1, 2, 3, 4, 5, 2]  # four answers are kept; 2 was the least recently used
     assert Newest(lambda k: asked.append(k), 1)(9) is None
 
 
@@ -347,7 +348,7 @@ def test_products_and_solutions_are_those_of_exact_fractions(seed):
     assert product(a[0], b).tolist() == exact[0]
     assert product(a, [row[0] for row in b]).tolist() == [row[0] for row in exact]
     square = [[rng.randint(-9, 9) + (40 if i == j else 0) for j in range(n)] for i in range(n)]
-    rng.shuffle(square)  # rows that have to be exchanged
+    rng.shuffle(square)  # the solver must exchange rows
     x = [[float(rng.randint(-9, 9)) for _ in range(k)] for _ in range(n)]
     right = product(square, x)
     assert np.allclose(solve(square, right), x, rtol=0, atol=1e-12)
@@ -446,7 +447,7 @@ def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
         passed = rng.choice([0.0, 0.01, 0.05, 0.125, 0.5])
         now += passed
         if gone is not None and not stopped:
-            gone += passed * rate  # s of the run that may have gone
+            gone += passed * rate  # s that the run may have advanced by now
         if what == "change":
             pace.change(new := rng.choice([0.5, 1.0, 2.0]), now)
             rate = new
@@ -480,7 +481,7 @@ def test_a_pace_is_exact_at_its_limits():
     pace = Pace(1.0)
     assert pace.reach(5.0, 1000) is None
     assert pace.reach(5.0 + 1e-9, 1000) == 1001
-    assert pace.reach(5.25, 1000) == 250_001_000  # just what is caught up
+    assert pace.reach(5.25, 1000) == 250_001_000  # a lag of exactly 0.25 s is caught up
     assert pace.reach(5.2500001, 1000) == 1000
     assert pace.reach(5.2500001, 1000) is None
     pace.change(0.0, 6.0)

@@ -93,7 +93,7 @@ def test_the_loop_of_the_motor_under_pid_is_the_analytic_one(kp):
     if kp is None:
         assert m.delay == pytest.approx(np.radians(phase) / crossing, rel=1e-6)
         assert m.disk == pytest.approx(control.disk_margins(L, view.omega, 0.0)[0], rel=1e-6)
-    else:  # at the lower gain that the margin names it is just stable
+    else:  # at the lower margin the loop is still stable
         assert abs(control.feedback(pid_loop(**gains) * m.gain_down * 0.999).poles()).max() < 1.0
     w = np.array([1.0, 5.0, 20.0])
     assert np.abs(view.opened(np.exp(1j * w * T)).ravel() / view.at_frequencies(w) - 1.0).max() < 1e-9
@@ -168,7 +168,7 @@ def test_an_unstable_opened_loop_and_a_delay_are_exact_to_rounding():
     assert slow(view.loop_poles) == pytest.approx(slow(control.feedback(L).poles()), rel=1e-9)
     line = [n for n in view.states if ".line[" in n]
     at = [view.states.index(n) for n in line]
-    assert view.a[np.ix_(at, at)].tolist() == np.eye(3, k=1).tolist()  # copies are copies
+    assert view.a[np.ix_(at, at)].tolist() == np.eye(3, k=1).tolist()  # the shift register copies its values unchanged
 
 
 def off_at(view, L):
@@ -196,7 +196,7 @@ def test_the_loop_of_the_motor_under_softened_sliding_mode_is_the_analytic_one()
     w, i = view.values["dc_motor_plant.w"], view.values["dc_motor_plant.i"]
     c = DcMotorSmc(period=T).p
     s = c.c * (1.0 - w) - (c.wd_i * i - c.wd_w * w)
-    slope = c.k_per_ref * 5.0 / (abs(s) + 5.0) ** 2  # of K s/(|s| + delta)
+    slope = c.k_per_ref * 5.0 / (abs(s) + 5.0) ** 2  # slope of K s/(|s| + delta)
     of_w, of_wd = (c.model_a0 - slope * c.c) / c.model_gain, (c.model_a1 - c.c - slope) / c.model_gain
     motor = sampled_motor()
     gains = np.array([[of_w - of_wd * c.wd_w, of_wd * c.wd_i]])
@@ -338,14 +338,16 @@ def test_the_delay_margin_of_the_rectifier_is_the_true_one():
 def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     """Only near: the force ripples along the track, so the loop changes with the position."""
     view = linear_view("lsrm_fuzzy_pi_fast", "force_cmd/translator", at=1.0, overrides={"current_period": 1e-4})
-    assert view.period == pytest.approx(1e-3)  # of the speed law; plant and current law are faster
+    # the period of the speed controller; plant and current controller have shorter periods
+    assert view.period == pytest.approx(1e-3)
     P = control.sample_system(control.tf([1], [5.0, 10.0 + 14.0]), 1e-3, "zoh")  # M, C + k_p
     C = 80.0 * (1.3 + 3.2 * 1e-3 / (control.tf([1, 0], [1], 1e-3) - 1))
     rigid = control.frd((P * C)(np.exp(1j * view.omega * 1e-3)), view.omega, smooth=True)
     _, phase, _, crossing = control.margin(rigid)
     assert view.margins.crossover == pytest.approx(crossing, rel=0.02)
     assert np.degrees(view.margins.phase) == pytest.approx(phase, abs=1.0)
-    # in the states of the loop; the flux of phase b, which carries no current, moves one way only and is none of them
+    # The flux of phase b is a state of the rig but not of the loop: phase b carries no current, so its flux can only
+    # move one way.
     assert "lsrm_plant.psi_b" in view.states
     assert "lsrm_plant.psi_b" not in view.opened.state_labels
     assert 1e-3 < view.state_error < 0.1
@@ -364,7 +366,7 @@ def test_a_loop_that_cannot_be_linearised_is_reported():
         linear_view("dc_motor_smc_b2", at=0.1)
     with pytest.raises(
         RunError, match=r"effort by 8 comes back there at 0\.3 s, .* in steps"
-    ):  # all margins were infinite
+    ):  # without this check all margins would be infinite
         linear_view("dc_motor_fsfb", at=0.3)
     with pytest.raises(ScenarioError, match="no signal 'volt'"):
         linear_view("dc_motor_smc", "volt", **motor)
@@ -374,7 +376,7 @@ def test_a_loop_that_cannot_be_linearised_is_reported():
         r"loop where it is slow: .*force_cmd",
     ):
         linear_view("lsrm_fuzzy_pi_fast", "phase_voltage/a", at=0.1, overrides={"current_period": 1e-4})
-    periods = "dc_motor_smc 0.0123457 s, dc_motor_plant 1e-07 s"  # the slowest first
+    periods = "dc_motor_smc 0.0123457 s, dc_motor_plant 1e-07 s"  # the message lists the slowest node first
     with pytest.raises(ScenarioError, match=rf"due together every .* divide each other with --set \({periods}\)$"):
         linear_view("dc_motor_smc", overrides={"dc_motor_smc.period": 0.0123457, "dc_motor_plant.period": 1e-7}, at=0.0)
     with pytest.raises(ScenarioError, match="at = -1 s: expected 0 or more"):
@@ -505,7 +507,7 @@ def test_a_state_that_cannot_be_restored_is_reported_by_name():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
     with pytest.raises(
         RunError, match=r"^rig: law, plant cannot be put back to where it was at 0\.5 s: "
-    ):  # who hears it
+    ):  # the message names the nodes that depend on it
         linear_view(rig, "law/u", at=0.5)
 
 
@@ -514,7 +516,7 @@ def test_a_state_that_cannot_be_restored_is_reported_by_name():
 
 def test_the_operating_point_of_the_motor_is_the_analytic_one():
     scenario = motor_under_pid()
-    point = steady(scenario, at=0.5)  # far from there yet
+    point = steady(scenario, at=0.5)  # at 0.5 s the run has not reached the operating point
     p = DcMotorPlant().p
     assert point.states["dc_motor_plant.w"] == pytest.approx(10.0, rel=1e-12)
     assert point.states["dc_motor_plant.i"] == pytest.approx(p.b * 10.0 / p.Kt, rel=1e-9)

@@ -25,7 +25,7 @@ from softrig_nodes.seam.hold import Hold
 from softrig_nodes.seam.tick import TickWriter
 
 MS, SECOND = 1_000_000, 1_000_000_000
-START = 1_700_000_000 * SECOND  # a tick of every period here
+START = 1_700_000_000 * SECOND  # start of the runs: every period of this file has a tick at this time
 
 
 class Node:
@@ -260,12 +260,12 @@ def test_ticks_older_than_the_window_are_dropped():
     for k in range(40):
         node.hear("a", START + k * 10 * MS, 1.0, at=START + k * 10 * MS)
     assert not SEEN
-    node.hand.time = START + 1_200 * MS  # a second is believed: those before 200 ms are too old
+    node.hand.time = START + 1_200 * MS  # stamps may be one second old, so the ticks before 200 ms are dropped
     node.rows["a"].receive(node.rows["a"].port.layout().encode(START + 400 * MS, (1.0,)))
     assert node.drive.counts()["dropped_ticks"] == 20
     assert node.reports() == {"dropped": "ERROR 20 ticks dropped: the controller is too slow, or was stopped (1)"}
     node.hear("b", START + 400 * MS, 1.0)
-    for _ in range(20):  # nothing of b is as old as the ticks that have begun, but the last
+    for _ in range(20):  # b has a message for the last tick only
         assert not SEEN
         assert timer.now == (8 * MS, 0)
         timer.call()
@@ -275,11 +275,11 @@ def test_ticks_older_than_the_window_are_dropped():
     for k in range(3):
         last.hear("a", START + k * 10 * MS, 1.0, at=START + k * 10 * MS)
     last.hear("c", START + 9 * SECOND, 1.0, at=START + 9 * SECOND)
-    assert last.drive.counts()["dropped_ticks"] == 2  # the newest one stays, however old
+    assert last.drive.counts()["dropped_ticks"] == 2  # the newest tick is kept, whatever its age
     other = three(stamp_window=100.0)
     for k in range(70):
         other.hear("a", START + k * 10 * MS, 1.0, at=START + k * 10 * MS)
-    assert other.drive.counts()["dropped_ticks"] == 6  # 64 messages are kept
+    assert other.drive.counts()["dropped_ticks"] == 6  # a row keeps 64 messages
 
 
 def test_a_rejected_message_counts_for_its_tick_and_the_block_decides_the_answer():
@@ -334,7 +334,7 @@ def test_a_controller_started_alone_begins_with_the_first_message_and_learns_the
     node.hear("a", START + 30 * MS, 4.0, at=START + 34 * MS)
     node.hear("b", START + 29 * MS, 4.0)
     assert SEEN[-1] == (30 * MS, 4.0, 4.0, 9.0, 0)
-    node.hear("a", 0, 5.0, at=START + 44 * MS)  # without a stamp: now
+    node.hear("a", 0, 5.0, at=START + 44 * MS)  # a message without a stamp is stamped on arrival
     node.hear("b", 0, 5.0)
     assert SEEN[-1] == (40 * MS, 5.0, 5.0, 9.0, 0)
     assert node.adapter.record.topics[:4] == [
@@ -389,7 +389,7 @@ def test_a_plant_holds_a_command_until_it_is_stale_and_then_uses_the_safe_one():
         assert applied == [5.0] * (1 + periods) + [0.0] * (7 - periods)
         text = f"no command on lag/command for {watchdog or 0.05:g} s: safe input"
         assert node.reports() == {"stale lag/command": f"ERROR {text} (1)"}
-        node.hear("command", START, 4.0, at=START + 95 * MS)  # again
+        node.hear("command", START, 4.0, at=START + 95 * MS)  # a second message with the same stamp
         assert node.rows["command"].late == 1
         node.hear("command", START + 90 * MS, 4.0)
         assert node.reports()["recovered lag/command"] == "WARN commands are back (1)"
@@ -432,11 +432,11 @@ def test_timer_ticks_follow_the_grid_and_missed_ones_are_counted_and_skipped_aft
     assert (states(), node.drive.missed, node.drive.t) == (3, 2, 40 * MS)
     assert node.drive.counts() == {"missed_deadlines": 2}
     node.adapter.step.x = node.adapter.step.x._replace(x=1.0)
-    timer_at(node, timer, 104)  # a second: caught up
+    timer_at(node, timer, 104)  # after a pause of one second all missed ticks are computed
     assert node.adapter.step.x.x == pytest.approx(0.99**100)
     assert (node.drive.missed, node.drive.skipped) == (101, 0)
     node.adapter.step.x = node.adapter.step.x._replace(x=1.0)
-    timer_at(node, timer, 205, 11 * MS)  # longer: left out
+    timer_at(node, timer, 205, 11 * MS)  # after a longer pause they are skipped
     assert node.adapter.step.x.x == pytest.approx(0.99)
     assert (node.drive.missed, node.drive.skipped) == (202, 101)
     assert node.drive.counts() == {"missed_deadlines": 202, "skipped_periods": 101}
@@ -460,7 +460,8 @@ def test_a_tick_that_begins_when_the_next_is_due_is_late_and_a_round_trip_lasts_
     assert node.drive.statistics()["late_ticks"] == 1
     node.hand.time = START + 41 * MS
     node.drive.tick(4, 40 * MS, START + 41 * MS)
-    node.hear("command", START + 30 * MS, 1.0, at=START + 43 * MS)  # said by the clock of its second tick
+    # the test's clock still showed 10 ms when this tick was published
+    node.hear("command", START + 30 * MS, 1.0, at=START + 43 * MS)
     node.hear("command", START + 35 * MS, 1.0)  # this stamp belongs to no tick of the node
     node.hear("command", START + 40 * MS, 1.0, at=START + 44 * MS)
     figures = node.drive.statistics()
@@ -480,7 +481,7 @@ def test_a_run_ends_with_its_last_tick_or_a_second_after_it():
     assert (node.adapter.state, node.adapter.ticks) == ("done", 4)
     held = plant(epoch=START, time=START, duration=0.03)
     timer = next(t for t in held.hand.timers if t.call.__name__ == "_tick")
-    timer_at(held, timer, 9)  # over its end
+    timer_at(held, timer, 9)  # the first call after the end of the run
     assert (held.adapter.state, held.drive.t, held.adapter.ticks) == ("done", 30 * MS, 1)
     law = Node(Law(), {"base": "0.01", "inputs": {"a": linked(), "b": linked()}}, epoch=START, duration=0.03).join()
     law.hand.time = START + 1030 * MS
@@ -616,15 +617,17 @@ def test_a_controller_that_receives_nothing_from_a_present_node_reports_it_every
     assert node.hand.logs[2:] == [text.replace(" a ", " b ")]
 
 
-# ---- several writers ----
+# ---- several publishers of one topic ----
 
 
 def test_of_two_writers_one_is_accepted_after_it_alone_has_published_without_a_gap():
     """Each message: number, time, whether a writer is accepted after it; a gap counts from 10 on."""
     for text in (
         [(5, 0, False), (6, 10, False), (7, 11, True), (8, 12, True)],
-        [(5, 0, False), (7, 9, False), (8, 19, False), (9, 20, True)],  # one message is lost
-        [(5, 0, False), (6, 11, True), (6, 12, False), (7, 99, False)],  # another one repeats a number
+        # number 6 is lost, so another publisher may exist
+        [(5, 0, False), (7, 9, False), (8, 19, False), (9, 20, True)],
+        # number 6 arrives twice, so there are two publishers
+        [(5, 0, False), (6, 11, True), (6, 12, False), (7, 99, False)],
         [(5, 0, False), (3, 1, False), (4, 99, False)],
         [(None, 0, False), (1, 50, False), (2, 99, False)],
         [(1, 0, False), (None, 1, False), (2, 99, False)],
@@ -690,7 +693,7 @@ def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     node.hand.time = START + MS
     node.hear("a", START, 1.0)
     assert not SEEN
-    told(0, "other")  # silent
+    told(0, "other")  # the sender acknowledges its tick without a message on `out`
     assert [*SEEN] == [(0, 1.0, 0.0, None, 0)]
     assert row.held_stamp() is None
     told(10, "out")  # the message arrives later
@@ -718,7 +721,7 @@ def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     timer.call()
     assert SEEN[-1] == (40 * MS, 5.0, 8.0, None, 0)
     node.hear("a", START + 50 * MS, 6.0)
-    assert SEEN[-1] == (50 * MS, 6.0, 8.0, None, 0)  # what was waited for in vain is so no more
+    assert SEEN[-1] == (50 * MS, 6.0, 8.0, None, 0)  # after one timeout the node no longer waits for b
     told(5000_000)
     assert node.adapter.paces[0].refused == 1
     node.adapter.state = "done"
@@ -793,7 +796,7 @@ def test_a_message_of_a_node_in_the_same_process_is_stored_as_one_over_dds():
     tell(START + 10 * MS, (1.0,), START + 11 * MS)
     assert used == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
     assert (row.stamp, row.arrived, row.recent[-1]) == (START + 10 * MS, START + 11 * MS, (START + 10 * MS, (1.0,)))
-    tell(START + 20 * MS, None, START + 21 * MS)  # silence: no node waits for it here
+    tell(START + 20 * MS, None, START + 21 * MS)  # an acknowledged tick without a message; it is not forwarded
     assert len(used) == 1
     row.receiver((1, 0), False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
     assert used[-1][2] == (2.0, 1.0)
@@ -808,13 +811,14 @@ def test_a_message_of_a_node_in_the_same_process_is_stored_as_one_over_dds():
     assert len(used) == 3
     row.receiver(None, True)(START + 60 * MS, (4.0,), START + 61 * MS)
     assert used[-1][2] == (4.0,)
-    row.local, row.outside = True, 1  # another process writes it, too
+    row.local, row.outside = True, 1  # a publisher of another process exists as well
     tell(START + 70 * MS, (5.0,), START + 71 * MS)
     assert (len(used), row.refused) == (4, 2)
     late = Node(Lag(period=0.01), epoch=START).join()
     command_row = late.rows["command"]
     command_row.receiver(None, True)(START, (math.inf,), START + MS)
-    assert (command_row.refused, command_row.bad) == (1, None)  # a plant waits for a good one
+    # a plant ignores an invalid command and waits for a valid one
+    assert (command_row.refused, command_row.bad) == (1, None)
     begun = Node(Law(), {"base": "0.01", "inputs": {"a": linked(), "b": linked()}}).join()
     begun.rows["a"].receiver(None, False)(START + 13 * MS, (1.0,), START + 14 * MS)
     assert begun.adapter.epoch == START + 10 * MS
@@ -938,7 +942,7 @@ def test_a_node_reports_its_status():
     }
     assert "peak_memory_mb" not in status
     assert (status["missed_deadlines"], status["prompt"], status["processor"], status["pace"]) == (0, False, None, 0.0)
-    assert len(node.hand.logs) == 1  # once
+    assert len(node.hand.logs) == 1  # the second rejection is not logged again
     node.adapter.fail("broken")
     node.adapter.fail("broken more")
     status = node.adapter.account.status()
@@ -1009,7 +1013,7 @@ def test_nodes_of_one_process_answer_in_order_by_one_timer_and_late_ones_first()
     assert beats.timer.now is None
     beats.begin()
     assert beats.timer.asked[-1:] == [(MS, 0)]
-    assert len(beats.timer.asked) == 4  # when all of them run
+    assert len(beats.timer.asked) == 4  # the timer is set after the last of the three nodes has begun
     assert beats.at(2) == [(0, 0, 0, 2), (1, 0, 0, 2), (2, 0, 0, 2)]
     assert beats.timer.now == (8 * MS, 10 * MS)
     assert beats.at(9.9) == []

@@ -49,7 +49,7 @@ def test_short_work_is_done_in_the_receiving_thread_and_long_work_by_the_executo
     here = threading.get_ident()
     for k in range(SHORT_ONES):
         arrive(1000)
-        assert len(where) == k  # nothing is known of it yet
+        assert len(where) == k  # the monitor has not yet measured enough calls to run one in this thread
         executor.turn(lambda n=k: len(where) > n)
     assert set(where) == {here}
     arrive(LONG)
@@ -167,7 +167,7 @@ def test_an_error_in_another_thread_is_raised_in_the_executor():
     with pytest.raises(ValueError, match="no"):
         executor.turn(lambda: False)
     executor.monitor.serve()
-    assert not seen  # the node has failed
+    assert not seen  # a failed node processes nothing more
 
 
 def test_after_an_error_of_the_executor_nothing_is_processed():

@@ -115,7 +115,7 @@ def test_a_node_due_at_each_eighth_tick_may_stay_in_python(period: float, member
     assert run.native.members == members
     assert [s.native for s in run.steps] == [(0, "")] * 2  # nothing is reported of generated code that Python runs
     assert ("str()" in run.native.reason) == (members == ())
-    # minus the first tick and the ticks of the other node
+    # the native ticks are all ticks except the first and those of the other node
     assert run.native.ticks == (0 if not members else 100 - 1 - 12)
 
 
@@ -140,9 +140,9 @@ class Turning(Block[Params]):
     [
         ((), [1]),
         ((3, 5), [1, 4, 6]),
-        (range(1, 20), [1, 2, 3, 4]),  # three times, and once more
+        (range(1, 20), [1, 2, 3, 4]),  # the state changes its type at each tick: at most four attempts
         ((200, 256), [1, 201, 257]),
-        ((200, 257), [1, 201]),  # later nothing is looked for any more
+        ((200, 257), [1, 201]),  # after tick 256 types are no longer checked
     ],
 )
 def test_a_rig_without_native_code_is_tried_again_when_its_states_change_type(turns, tried, monkeypatch) -> None:
@@ -157,7 +157,7 @@ def test_a_rig_without_native_code_is_tried_again_when_its_states_change_type(tu
     monkeypatch.setattr(fitted, "rig_text", none)
     monkeypatch.setattr(fitted, "_worth_another", lambda kinds: True)
     ended(run)
-    assert at == [k for k in tried for _ in range(2)]  # with reports, and without
+    assert at == [k for k in tried for _ in range(2)]  # each tick is tried with and without reports
     assert (run.native.reason, run.native.ticks, run.steps[0].t) == ("a test", 0, 400_000_000)
 
 
@@ -207,7 +207,7 @@ def test_a_text_is_compiled_in_a_thread_while_others_are_served(monkeypatch: pyt
     fitted._texts.clear()
     fitted._counts.clear()
     ended(going({"body": Body(), "law": Law()}, 0.4, make=make))
-    assert called == [(1, 400)]  # alone: at its first call
+    assert called == [(1, 400)]  # a run that serves no other node waits for the compilation
 
 
 def test_a_continued_run_begins_with_its_tick() -> None:

@@ -207,7 +207,7 @@ def doubled(x: Any) -> Any:
     return 2.0 * x
 
 
-# what the functions may be given: as native code knows it, in the tick before; a second value to compute with
+# Arguments of the functions: as native code knows them from the tick before, and a second value.
 GIVEN: dict[str, tuple[Any, Any]] = {
     "p": (Dynamic("p", 0.5), 2.25),
     "q": (Dynamic("q", -1.5), 0.0),
@@ -1267,7 +1267,7 @@ ALL = {
     "reports": REPORTS.strip().split("\n\n"),
 }
 EACH = [case for cases in ALL.values() for case in cases]
-UNTYPED = [*ALL["numbers"], *ALL["parts"], *ALL["reports"]]  # of which some may be other texts where Python runs them
+UNTYPED = [*ALL["numbers"], *ALL["parts"], *ALL["reports"]]  # cases whose generated text differs if Python runs it
 LINES = sum(len(ALL[name]) for name in CASES)
 
 
@@ -1349,7 +1349,8 @@ def test_the_text_gives_what_python_gives(typed: bool) -> None:
     """With the values it was written for, and with others; or it discards the tick."""
     equal = 0
     for case in EACH if typed else UNTYPED:
-        if "doubled" in case or (result := calling(case, typed)) is None:  # numba, which others load
+        # these cases load numba, which other tests cover
+        if "doubled" in case or (result := calling(case, typed)) is None:
             continue
         names, call, python, reported = result
         for pick in itertools.product(*([0, 1] for _ in names)):
@@ -1369,7 +1370,8 @@ def test_the_text_gives_what_python_gives(typed: bool) -> None:
     assert equal > (1000 if typed else 250)
 
 
-CHANGES: dict[str, tuple[Any, str]] = {  # of an attribute of the owner; the name of what a text cannot share
+# by attribute: another value, and the attribute if texts with different values cannot be shared
+CHANGES: dict[str, tuple[Any, str]] = {
     "gain": (7.5, ""),
     "array": (np.zeros(9), ""),
     "table": ([0.5, 0.5], "table"),
@@ -1402,7 +1404,7 @@ def test_a_text_that_another_block_shares_gives_what_its_python_gives() -> None:
     for case in EACH:
         for name, (value, _) in CHANGES.items():
             value_of_call, program = native(case)[1:3]
-            # A fixed answer is not yet handed in: whoever uses it does that.
+            # A constant answer is not an argument of the text: the caller inserts it.
             if f"self.{name}" not in case or "doubled" in case or isinstance(value_of_call, Static):
                 continue
             other = changed(program, name, value)
