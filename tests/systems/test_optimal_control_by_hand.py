@@ -213,8 +213,8 @@ def test_quantities_that_nodes_of_a_problem_agree_on():
 def test_ports_of_a_problem():
     problem = find("spacecraft")
     assert (plan(problem, 5).size, plan(problem, 5, stages=2).size) == (9 * 5, 2 * 9 * 5)
-    assert (plan(problem, 5).sporadic, plan(problem, 5, out=True).sporadic) == (False, True)
-    assert (summary().sporadic, summary(out=True).sporadic, summary().size) == (False, True, 8)
+    assert (plan(problem, 5).sporadic, plan(problem, 5, output=True).sporadic) == (False, True)
+    assert (summary().sporadic, summary(output=True).sporadic, summary().size) == (False, True, 8)
     assert tuple(state(problem).limits[:3]) == (1e3,) * 3
     assert (state(problem).size, state(MOVER).size, tuple(state(MOVER).limits)) == (6, 2, (1e3,) * 2)
 

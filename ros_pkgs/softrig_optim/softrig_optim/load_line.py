@@ -20,11 +20,11 @@ Corrections = Generator[Sequence[Point], list[float], None]
 class Matching(Protocol):
     """Conversion of the load resistance by a converter's command into the resistance that the source sees."""
 
-    def load(self, command: float, seen: float) -> float:
-        """Return the load (ohm) that makes the source see `seen` ohm under this command."""
+    def load(self, command: float, resistance: float) -> float:
+        """Return the load (ohm) that makes the source see `resistance` ohm under this command."""
 
-    def command(self, seen: float, load: float) -> float:
-        """Return the command under which this load makes the source see `seen` ohm."""
+    def command(self, resistance: float, load: float) -> float:
+        """Return the command under which this load makes the source see `resistance` ohm."""
 
 
 class LoadLineSearch(Search):

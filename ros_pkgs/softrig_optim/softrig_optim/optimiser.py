@@ -293,8 +293,8 @@ class CommandOptimiser(Block[P], ABC):
             limit, target = self._step, x.target
             command = tuple(
                 [
-                    to if abs(to - at) <= limit else at + math.copysign(limit, to - at)
-                    for at, to in zip(x.command, target, strict=True)
+                    goal if abs(goal - value) <= limit else value + math.copysign(limit, goal - value)
+                    for value, goal in zip(x.command, target, strict=True)
                 ]
             )
             x = x._replace(command=command)
@@ -456,9 +456,9 @@ class CommandOptimiser(Block[P], ABC):
                 return x
         if x.since == NEVER or t - x.since < x.next_sample:
             return x
-        held, value = t - x.since, _mean(x)
+        elapsed, value = t - x.since, _mean(x)
         # The next look counts from this one, so that looks are a whole hold_time apart after bad samples too.
-        x, changed = self._changed(x._replace(next_sample=held + self._hold), t, value, held)
+        x, changed = self._changed(x._replace(next_sample=elapsed + self._hold), t, value, elapsed)
         # Before the value has settled, a deviation from the expected one proves nothing.
         judged, expected = x.lost or x.reference < math.inf, x.search.expected
         if judged and not x.void and abs(value - expected) > x.search.gap * abs(expected):
@@ -472,7 +472,7 @@ class CommandOptimiser(Block[P], ABC):
             return self._note(x._replace(phase=Phase.SEARCH, scanning_since=t, reference=math.inf))
         return x
 
-    def _changed(self, x: State, t: int, value: float, held: int) -> tuple[State, bool]:
+    def _changed(self, x: State, t: int, value: float, elapsed: int) -> tuple[State, bool]:
         """Return whether the held value requires a new search."""
         if self.p.floor is not None and value <= self.p.floor:
             self.report(Level.WARN, "no signal", "the value held fell to the floor: waiting for it")
@@ -482,14 +482,14 @@ class CommandOptimiser(Block[P], ABC):
         if x.reference == math.inf:
             before, x = x.seen, x._replace(seen=value)
             # The reference must be a value at rest, for every later change is measured against it.
-            if held < self._settle or self._differs(value, before, STEADY):
+            if elapsed < self._settle or self._differs(value, before, STEADY):
                 return x, False
             return self._refuted(x._replace(reference=value), t, value)
         deviations = x.deviations + 1 if self._differs(value, x.reference) else 0
         return x._replace(deviations=deviations), deviations == CONSECUTIVE
 
-    def _differs(self, value: float, reference: float, part: float = 1.0) -> bool:
-        threshold = part * self.p.restart_threshold
+    def _differs(self, value: float, reference: float, factor: float = 1.0) -> bool:
+        threshold = factor * self.p.restart_threshold
         return threshold > 0.0 and abs(value - reference) > threshold * abs(reference)
 
     # people ----------------------------------------------------------------------------------------------------
@@ -511,7 +511,7 @@ class CommandOptimiser(Block[P], ABC):
     def _note(self, x: State) -> State:
         """Prepare the state output."""
         search = x.search.now
-        best, at = (0.0, x.target) if search.best is None else (search.expected, search.result)
+        best, best_command = (0.0, x.target) if search.best is None else (search.expected, search.result)
         return x._replace(
             state=(
                 float(x.phase),
@@ -520,7 +520,7 @@ class CommandOptimiser(Block[P], ABC):
                 float(max(x.restarts, 0)),
                 best,
                 (not x.void and search.bound) or 0.0,
-                *at,
+                *best_command,
             )
         )
 
@@ -564,9 +564,9 @@ class Optimiser(CommandOptimiser[OptimiserParams]):
     def ports(cls, params: OptimiserParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Channels as the parameters name them."""
         measurement = scalars("measurement", "objective", {params.objective: ""})
-        to = command("command", "command", params.channels, params.unit, safe=params.lower)
+        command_port = command("command", "command", params.channels, params.unit, safe=params.lower)
         state = state_port("optimiser/state", dict.fromkeys(params.channels, params.unit))
-        return (measurement, *buttons("optimiser")), (to, state)
+        return (measurement, *buttons("optimiser")), (command_port, state)
 
     def objective(self, sample: Point) -> float:
         """The one measured scalar."""

@@ -176,7 +176,7 @@ class Workers:
                     yield from self._numbered(open_.pop(future)[0], answer)
             except BrokenProcessPool:
                 # The pool does not name the case that killed its worker, so all open ones are repeated one by one.
-                again = [([one], died + 1) for chunk, died in open_.values() for one in chunk]
+                again = [([case], died + 1) for chunk, died in open_.values() for case in chunk]
                 worst = max((died for _, died in again), default=0)
                 if worst >= ATTEMPTS:
                     k = next(chunk[0][0] for chunk, died in again if died == worst)
@@ -371,13 +371,15 @@ def _check_peers(client: Any, scheduler: str) -> None:
     if not client.nthreads():
         print_line(f"no worker has joined {scheduler} yet: waiting; {how.format(kind='worker')}")
         client.wait_for_workers(1)
-    here = _made_of()
+    local = _made_of()
     for address, result in client.run(_made_of, on_error="return").items():
         if isinstance(result, Exception):
             why = str(result).splitlines()[0][:200]
             raise ScenarioError(f"worker {address} cannot import softrig ({why}); {how.format(kind='worker')}")
-        if other := [f"{name} {result.get(name)}, here {own}" for name, own in here.items() if result.get(name) != own]:
-            raise ScenarioError(f"worker {address} has {', '.join(other)}; expected the versions of this host")
+        if wrong := [
+            f"{name} {result.get(name)}, here {want}" for name, want in local.items() if result.get(name) != want
+        ]:
+            raise ScenarioError(f"worker {address} has {', '.join(wrong)}; expected the versions of this host")
 
 
 @contextmanager

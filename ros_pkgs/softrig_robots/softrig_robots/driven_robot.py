@@ -313,13 +313,13 @@ def compile_robot(urdf: str, tip: str, stops: bool = False) -> tuple[Compiled, C
     efforts = ca.DM([joint.effort for joint in limits])
     derivative, transmitted = _equations(robot, x, inputs, load, force, plant, efforts)
     ode = ca.Function("ode", [x, inputs, load, force, plant], [derivative])
-    held = [ca.MX.sym("V", n), ca.MX.sym("tau_d", n), ca.MX.sym("F_e", 3), ca.MX.sym("plant", 9 * n + 3)]
+    symbols = [ca.MX.sym("V", n), ca.MX.sym("tau_d", n), ca.MX.sym("F_e", 3), ca.MX.sym("plant", 9 * n + 3)]
     now, h = ca.MX.sym("x", 3 * n), ca.MX.sym("h")
-    later = rk4(lambda x: ode(x, *held), now, h)
+    later = rk4(lambda x: ode(x, *symbols), now, h)
     if limits:
         ends = ca.Function("end_stops", [x, plant], [_end_stops(robot, x, plant, limits)])
-        later = ends(later, held[-1])
-    step = ca.Function("robot_step", [now, *held, h], [later])
+        later = ends(later, symbols[-1])
+    step = ca.Function("robot_step", [now, *symbols, h], [later])
     torque = ca.Function("gear_torque", [x, load, force, plant], [transmitted])
     return Compiled(step), Compiled(torque), n
 

@@ -159,11 +159,11 @@ class RobotDynamics(Block[RobotDynamicsParams]):
         """Draw the robot at the newest query: its links as lines, joints and tool as balls."""
         pin, model, data = self._pin, self._model, self._data
         pin.framesForwardKinematics(model, data, self._np.array(x.q))
-        places = [tuple(data.oMi[i].translation.tolist()) for i in range(model.njoints)]
+        positions = [tuple(data.oMi[i].translation.tolist()) for i in range(model.njoints)]
         tool = tuple(data.oMf[self._tool].translation.tolist())
-        lines = [(places[model.parents[i]], places[i]) for i in range(1, model.njoints)]
-        lines.append((places[model.frames[self._tool].parentJoint], tool))
+        lines = [(positions[model.parents[i]], positions[i]) for i in range(1, model.njoints)]
+        lines.append((positions[model.frames[self._tool].parentJoint], tool))
         return (
             Marker(self._root, "links", "line_list", tuple(end for line in lines for end in line), 0.05),
-            Marker(self._root, "joints", "sphere_list", (*places[1:], tool), 0.1, (0.9, 0.4, 0.1, 1.0)),
+            Marker(self._root, "joints", "sphere_list", (*positions[1:], tool), 0.1, (0.9, 0.4, 0.1, 1.0)),
         )

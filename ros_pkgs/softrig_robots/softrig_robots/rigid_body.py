@@ -201,8 +201,8 @@ class SymbolicRobot:
         twist: list[ca.SX] = [ca.SX.zeros(6)] * count
         drift: list[ca.SX] = [ca.SX.zeros(6)] * count
         inertia = [ca.SX(body) for body in self._bodies]
-        holder, _, at = self._tool
-        inertia[holder] = inertia[holder] + _point_inertia(payload, at)
+        holder, _, offset = self._tool
+        inertia[holder] = inertia[holder] + _point_inertia(payload, offset)
         bias: list[ca.SX] = [ca.SX.zeros(6)] * count
         for i in range(1, count):
             axis = self._axes[i]
@@ -218,10 +218,10 @@ class SymbolicRobot:
             force[i] = inertia[i] @ axis
             weight[i] = axis.T @ force[i] + armature[i - 1]
             torque[i] = tau[i - 1] - axis.T @ bias[i]
-            seen = inertia[i] - force[i] @ force[i].T / weight[i]
-            pushed = bias[i] + seen @ drift[i] + force[i] * (torque[i] / weight[i])
+            articulated = inertia[i] - force[i] @ force[i].T / weight[i]
+            pushed = bias[i] + articulated @ drift[i] + force[i] * (torque[i] / weight[i])
             parent = self._parents[i]
-            inertia[parent] = inertia[parent] + x[i].T @ seen @ x[i]
+            inertia[parent] = inertia[parent] + x[i].T @ articulated @ x[i]
             bias[parent] = bias[parent] + x[i].T @ pushed
         acceleration: list[ca.SX] = [ca.SX(ca.vertcat(-self._gravity, ca.DM.zeros(3)))] * count
         result: list[ca.SX] = []
@@ -238,8 +238,8 @@ class SymbolicRobot:
         twist: list[ca.SX] = [ca.SX.zeros(6)] * count
         acceleration: list[ca.SX] = [ca.SX(ca.vertcat(-self._gravity, ca.DM.zeros(3)))] * count
         inertia = [ca.SX(body) for body in self._bodies]
-        holder, _, at = self._tool
-        inertia[holder] = inertia[holder] + _point_inertia(payload, at)
+        holder, _, offset = self._tool
+        inertia[holder] = inertia[holder] + _point_inertia(payload, offset)
         force: list[ca.SX] = [ca.SX.zeros(6)] * count
         for i in range(1, count):
             axis, parent = self._axes[i], self._parents[i]
@@ -257,8 +257,8 @@ class SymbolicRobot:
 
     def tool_position(self, q: ca.SX) -> ca.SX:
         """Place of the tool frame in the base frame, m."""
-        holder, _, at = self._tool
-        point = ca.SX(at)
+        holder, _, offset = self._tool
+        point = ca.SX(offset)
         i = holder
         while i > 0:
             rotation, shift = self._joint(i, q[i - 1])
@@ -299,6 +299,6 @@ def _cross_force(twist: ca.SX) -> ca.SX:
     return -_cross_motion(twist).T
 
 
-def _point_inertia(mass: ca.SX, at: ca.DM) -> ca.SX:
-    cross = ca.skew(at)
+def _point_inertia(mass: ca.SX, offset: ca.DM) -> ca.SX:
+    cross = ca.skew(offset)
     return mass * ca.blockcat([[ca.DM.eye(3), -cross], [cross, -cross @ cross]])

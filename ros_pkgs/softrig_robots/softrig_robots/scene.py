@@ -37,8 +37,8 @@ class RobotScene:
         bodies = [i for i, f in enumerate(frames) if f.type == pin.FrameType.BODY]
         # the parent frame of a link is its joint, whose parent frame is the link before
         joints = {i: frames[frames[i].parentFrame] for i in bodies}
-        kinds = {pin.FrameType.FIXED_JOINT: False, pin.FrameType.JOINT: True}
-        linked = [(joints[i].parentFrame, i, kinds[joints[i].type]) for i in bodies if joints[i].type in kinds]
+        moving = {pin.FrameType.FIXED_JOINT: False, pin.FrameType.JOINT: True}
+        linked = [(joints[i].parentFrame, i, moving[joints[i].type]) for i in bodies if joints[i].type in moving]
         self._fixed = [(parent, child) for parent, child, moves in linked if not moves and parent in joints]
         self._moving = [(parent, child) for parent, child, moves in linked if moves]
         self.base = root_link(urdf)
@@ -52,8 +52,8 @@ class RobotScene:
         return [self._pose(parent, child) for parent, child in pairs]
 
     def _pose(self, parent: int, child: int) -> Pose:
-        frames, places = self._model.frames, self._data.oMf
-        between: Any = places[parent].actInv(places[child])
+        frames, poses = self._model.frames, self._data.oMf
+        between: Any = poses[parent].actInv(poses[child])
         x, y, z = between.translation.tolist()
         qx, qy, qz, qw = self._pin.Quaternion(between.rotation).normalized().coeffs().tolist()
         return Pose(frames[parent].name, frames[child].name, (x, y, z), (qx, qy, qz, qw))

@@ -249,7 +249,7 @@ def for_pinocchio(urdf: str) -> str:
                 limit.set(key, ENDLESS if float(text) > 0.0 else f"-{ENDLESS}")
     for link in robot.iterfind("link"):
         inertial = link.find("inertial")
-        parts = [] if inertial is None else [*inertial.iterfind("mass"), *inertial.iterfind("inertia")]
-        if inertial is not None and not any(float(x) for part in parts for x in part.attrib.values()):
+        tags = [] if inertial is None else [*inertial.iterfind("mass"), *inertial.iterfind("inertia")]
+        if inertial is not None and not any(float(x) for tag in tags for x in tag.attrib.values()):
             link.remove(inertial)
     return ElementTree.tostring(robot, encoding="unicode")

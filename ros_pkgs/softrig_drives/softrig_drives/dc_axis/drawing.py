@@ -49,9 +49,9 @@ class DcAxis(Drawing):
             pen.line([(x - 3, y - 8), (min(x + 3, self.RIGHT), y)], "paper", 1.2)
         pen.line([(self.LEFT, y + 24.0), (self.RIGHT, y + 24.0)], "line", 2.0)
         for k in range(9):
-            at = self.reach * (k / 4 - 1)
-            pen.line([(self.at(at), y + 24.0), (self.at(at), y + 32.0)], "line", 1.2)
-            pen.text((self.at(at), y + 47.0), f"{at:g}".replace("-", "−"), "muted", 11.0, "middle")
+            mark = self.reach * (k / 4 - 1)
+            pen.line([(self.at(mark), y + 24.0), (self.at(mark), y + 32.0)], "line", 1.2)
+            pen.text((self.at(mark), y + 47.0), f"{mark:g}".replace("-", "−"), "muted", 11.0, "middle")
         pen.text((self.RIGHT, y + 64.0), self.position.unit, "muted", 11.0, "end")
         x = self.at(self.position(row))
         if self.fed.name:
@@ -60,8 +60,8 @@ class DcAxis(Drawing):
         pen.polygon([(x, y + 24.0), (x - 6.0, y + 14.0), (x + 6.0, y + 14.0)], "line", "paper", 1.5)
         for quantity, role, height in ((self.target, "alarm", 96.0), (self.wanted, "reference", 76.0)):
             if quantity.name:
-                place = self.at(quantity(row))
-                pen.line([(place, y + 24.0), (place, y - height)], role, 1.6, dashed=True)
+                x_mark = self.at(quantity(row))
+                pen.line([(x_mark, y + 24.0), (x_mark, y - height)], role, 1.6, dashed=True)
         rows = [
             ("Position", self.position.text_of(row, ".2f"), "accent"),
             ("Speed", self.speed.text_of(row, ".2f"), "line"),

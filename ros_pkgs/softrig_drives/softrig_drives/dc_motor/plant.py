@@ -144,9 +144,9 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
         end = t + self._period
         while t < end:
             load, until = self._profile.at(t), min(end, self._profile.next_change(t))
-            whole = until - t == self._period
+            full_period = until - t == self._period
             a01, a02, b00, a11, a12, b10, a21, a22, b20, e0, e1, e2 = (
-                self._whole if whole else self._transition(until - t)
+                self._whole if full_period else self._transition(until - t)
             )
             theta += a01 * w + a02 * i + b00 * v + e0 * load
             w, i = a11 * w + a12 * i + b10 * v + e1 * load, a21 * w + a22 * i + b20 * v + e2 * load

@@ -149,8 +149,8 @@ def _exported(scenario: str, node: str, overrides: tuple[tuple[str, Any], ...], 
     with tempfile.TemporaryDirectory() as scratch:
         rig = rig_of(scenario, duration=0.05, overrides=dict(overrides))
         done = export_c(rig, node, Path(scratch), rows=200, drawn=0, single=single)
-    own = ("softrig_c.h", f"{done.name}.h", f"{done.name}.c")
-    return {file: done.files[file] for file in own} | {"description": done.files[f"{done.name}.json"]}
+    sources = ("softrig_c.h", f"{done.name}.h", f"{done.name}.c")
+    return {file: done.files[file] for file in sources} | {"description": done.files[f"{done.name}.json"]}
 
 
 def simulator_of(p: DcMotorUnoParams) -> Path:
@@ -162,9 +162,9 @@ def simulator_of(p: DcMotorUnoParams) -> Path:
         There is no compiler or no libsimavr; the message names what to install.
     """
     constants = {name: getattr(p, name) for name in ("R", "L", "J", "b", "Kt", "Ke", "counts_per_rev")}
-    given = {f"{MOTOR_NODE}.{name}": value for name, value in constants.items()}
-    given |= {f"{MOTOR_NODE}.period": MOTOR_STEP, "motor_voltage.period": MOTOR_STEP}
-    files = {k: v for k, v in _exported(MOTOR, MOTOR_NODE, tuple(given.items()), False).items() if k != "description"}
+    values = {f"{MOTOR_NODE}.{name}": value for name, value in constants.items()}
+    values |= {f"{MOTOR_NODE}.period": MOTOR_STEP, "motor_voltage.period": MOTOR_STEP}
+    files = {k: v for k, v in _exported(MOTOR, MOTOR_NODE, tuple(values.items()), False).items() if k != "description"}
     defined = {
         "VMAX": p.vmax,
         "BRIDGE_DROP": p.bridge_drop,
@@ -212,8 +212,8 @@ def firmware_of(p: DcMotorUnoParams) -> Path:
 
 def firmware_files(defined: str) -> dict[str, str]:
     """Return the firmware's own files, with given first lines of the source."""
-    own = {name: (resources.files(__package__) / name).read_text() for name in ("uno_pwm.h", "uno_firmware.c")}
-    return own | {"uno_firmware.c": defined + own["uno_firmware.c"]}
+    sources = {name: (resources.files(__package__) / name).read_text() for name in ("uno_pwm.h", "uno_firmware.c")}
+    return sources | {"uno_firmware.c": defined + sources["uno_firmware.c"]}
 
 
 def built(files: Mapping[str, str], name: str) -> Path:

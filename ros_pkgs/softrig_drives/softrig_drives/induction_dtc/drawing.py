@@ -56,18 +56,18 @@ class InductionMotor(Drawing):
             # the axis of phase a points right: its conductors lie a quarter turn before and after
             phase, side = belt(slot)
             role = PHASES[phase][1]
-            place = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
+            point = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
             current = side * held(self.currents[phase](row) / self.rated, 1.6)
-            pen.circle(place, 11.0, "muted", "paper", 1.0)
-            pen.circle(place, 6.6 * math.sqrt(abs(current)), role, role, 0)
+            pen.circle(point, 11.0, "muted", "paper", 1.0)
+            pen.circle(point, 6.6 * math.sqrt(abs(current)), role, role, 0)
             pen.text(
-                (place[0], place[1] + 4.5), "·" if current > 0 else "×" if current < 0 else "", "paper", 13.0, "middle"
+                (point[0], point[1] + 4.5), "·" if current > 0 else "×" if current < 0 else "", "paper", 13.0, "middle"
             )
         for k, (name, role) in enumerate(PHASES):
             axis = k * THIRD
             pen.line([polar(CENTRE, OUTER + 2, axis), polar(CENTRE, OUTER + 10, axis)], role, 2.0)
-            place = polar(CENTRE, OUTER + 19, axis)
-            pen.text((place[0], place[1] + 4.5), name, role, 14.0, "middle")
+            point = polar(CENTRE, OUTER + 19, axis)
+            pen.text((point[0], point[1] + 4.5), name, role, 14.0, "middle")
         pen.circle(CENTRE, ROTOR, "line", "faint")
         turn = self.pairs * self.angle(row)
         for bar in range(BARS):
@@ -99,11 +99,11 @@ class InductionMotor(Drawing):
         pen.text((left + 176, bottom + 5), "−", "muted")
         for k, ((name, role), switch) in enumerate(zip(PHASES, self.switches, strict=True)):
             x, middle = left + 10 + 60 * k, (top + bottom) / 2
-            to = middle - 24 if switch(row) > 0.5 else middle + 24
+            y_end = middle - 24 if switch(row) > 0.5 else middle + 24
             pen.line([(x, top), (x, middle - 24)], "line")
             pen.line([(x, bottom), (x, middle + 24)], "line")
             pen.circle((x, middle - 24), 3.0, "line", "paper")
             pen.circle((x, middle + 24), 3.0, "line", "paper")
-            pen.line([(x + 24, middle), (x, to)], role, 3.0)
+            pen.line([(x + 24, middle), (x, y_end)], role, 3.0)
             pen.circle((x + 24, middle), 3.0, role, role)
             pen.text((x + 31, middle + 5), name, role)

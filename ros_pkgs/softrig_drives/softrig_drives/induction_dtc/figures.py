@@ -32,9 +32,9 @@ def slope(t: Array, psi: Vectors) -> complex:
         return complex((centred * (psi - psi.mean())).sum() / squares)
     # Part by part in place, which is the product of a real and a complex number without new arrays.
     mean, product = psi.mean(), psi.copy()
-    for part, middle in ((product.real, mean.real), (product.imag, mean.imag)):
-        part -= middle
-        part *= centred
+    for component, middle in ((product.real, mean.real), (product.imag, mean.imag)):
+        component -= middle
+        component *= centred
     return complex(product.sum() / squares)
 
 
@@ -152,8 +152,8 @@ def _converter_error(
     """Return measured minus true current in LSB, and how long each value is valid, ns."""
     t, x, holds = held(signals, f"currents_meas/{channel}", start, end)
     true = f"currents_true/{channel}"
-    at, both, _ = _same(signals, true, t)
-    return (gathered(x, both) - gathered(signals[true][1], at)) / lsb, gathered(holds, both)
+    indices, both, _ = _same(signals, true, t)
+    return (gathered(x, both) - gathered(signals[true][1], indices)) / lsb, gathered(holds, both)
 
 
 @figure("Wb")
@@ -207,10 +207,10 @@ def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> t
 
 def _new_flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Array, Array]:
     t, *estimate = _vector(signals, "flux_estimate", start, end)
-    at, both, times = _same(signals, "flux_true/x", t)
+    indices, both, times = _same(signals, "flux_true/x", t)
     alpha, beta = (
-        gathered(part, both) - gathered(signals[f"flux_true/{axis}"][1], at)
-        for part, axis in zip(estimate, "xy", strict=True)
+        gathered(component, both) - gathered(signals[f"flux_true/{axis}"][1], indices)
+        for component, axis in zip(estimate, "xy", strict=True)
     )
     return times, alpha, beta
 
@@ -223,17 +223,17 @@ def _same(signals: SignalMap, name: str, t: Array) -> tuple[Places, Places, Arra
     ValueError
         There is none.
     """
-    at, both, times = _together(signals[name][0], t)
+    indices, both, times = _together(signals[name][0], t)
     if not times.size:
         raise ValueError(f"{name} has no sample at any of the {t.size} instants from {t[0]:g} s to {t[-1]:g} s")
-    return at, both, times
+    return indices, both, times
 
 
 @once_for_times
 def _together(when: Array, t: Array) -> tuple[Places, Places, Array]:
-    at = newest(when, t + HALF_NS)
-    both = true_places((at >= 0) & (t - gathered(np.append(when, np.inf), at) < HALF_NS))
-    return places(gathered(at, both)), both if isinstance(both, slice) else places(both), gathered(t, both)
+    indices = newest(when, t + HALF_NS)
+    both = true_places((indices >= 0) & (t - gathered(np.append(when, np.inf), indices) < HALF_NS))
+    return places(gathered(indices, both)), both if isinstance(both, slice) else places(both), gathered(t, both)
 
 
 def _component(z: complex, component: Component) -> float:

@@ -81,8 +81,8 @@ def step_function(substeps: int = 1) -> ca.Function:
     R_s, R_R, inv_L_sigma, R_R_by_L_M, p, inv_J, B, h = ca.vertsplit(c)
 
     def derivative(x: ca.SX) -> ca.SX:
-        _, _, r_alpha, r_beta, omega, _ = parts = ca.vertsplit(x)
-        i_alpha, i_beta, T_e = electric(parts, inv_L_sigma, p)
+        _, _, r_alpha, r_beta, omega, _ = states = ca.vertsplit(x)
+        i_alpha, i_beta, T_e = electric(states, inv_L_sigma, p)
         return ca.vertcat(
             u_alpha - R_s * i_alpha,
             u_beta - R_s * i_beta,

@@ -153,5 +153,5 @@ def _snap(switch: float) -> float:
     """Round a switch value that is 0 or 1 within the tolerance."""
     if not abs(switch) < 2.0:
         return switch  # it is no switch, and may be too large for a whole number of native code
-    whole = round(switch)
-    return float(whole) if abs(switch - whole) <= SWITCH_TOLERANCE else switch
+    rounded = round(switch)
+    return float(rounded) if abs(switch - rounded) <= SWITCH_TOLERANCE else switch

@@ -114,11 +114,11 @@ def regulate(
     """
     x, v = motion
     i_ref = min(math.sqrt(2.0 * abs(force) / geometry[2]), law[3])
-    seen = math.floor(x / law[6] + 0.5) * law[6]
-    z_a, u_a = phase_law(integral[0], currents[0], i_ref, force, v, distance(seen, 0, geometry), geometry, law)
-    z_b, u_b = phase_law(integral[1], currents[1], i_ref, force, v, distance(seen, 1, geometry), geometry, law)
-    z_c, u_c = phase_law(integral[2], currents[2], i_ref, force, v, distance(seen, 2, geometry), geometry, law)
-    z_d, u_d = phase_law(integral[3], currents[3], i_ref, force, v, distance(seen, 3, geometry), geometry, law)
+    quantised = math.floor(x / law[6] + 0.5) * law[6]
+    z_a, u_a = phase_law(integral[0], currents[0], i_ref, force, v, distance(quantised, 0, geometry), geometry, law)
+    z_b, u_b = phase_law(integral[1], currents[1], i_ref, force, v, distance(quantised, 1, geometry), geometry, law)
+    z_c, u_c = phase_law(integral[2], currents[2], i_ref, force, v, distance(quantised, 2, geometry), geometry, law)
+    z_d, u_d = phase_law(integral[3], currents[3], i_ref, force, v, distance(quantised, 3, geometry), geometry, law)
     return z_a, z_b, z_c, z_d, u_a, u_b, u_c, u_d
 
 

@@ -75,12 +75,12 @@ class ReluctanceMotor(Drawing):
         for k, (_, role) in enumerate(PHASES):
             share = held(self.currents[k](row) / self.full, 1.0)
             for side in (-1.0, 1.0):
-                place = self._place(k)
-                for x in (place - wide / 2 - 13.0, place + wide / 2):
+                centre = self._place(k)
+                for x in (centre - wide / 2 - 13.0, centre + wide / 2):
                     y = AXIS + side * half
                     pen.box(x, y, 13.0, side * (tip - half - 4.0), role, "paper", 1.0)
                     pen.box(x, y, 13.0, side * (tip - half - 4.0) * abs(share), role, role, 0)
-                pen.box(place - wide / 2, AXIS + side * (half - 1.0), wide, side * (tip - half + 1.0), "line", "faint")
+                pen.box(centre - wide / 2, AXIS + side * (half - 1.0), wide, side * (tip - half + 1.0), "line", "faint")
         pen.box(left, AXIS - half, right - left, 2 * half, "line", "faint")
         for k, (name, role) in enumerate(PHASES):
             pen.line(

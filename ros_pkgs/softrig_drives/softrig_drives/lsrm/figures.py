@@ -73,11 +73,11 @@ def peak_force(
     means = _moving_means(signals, _of(drive, FORCE), width, start, end)
     if sign is None:
         x = window(signals, _of(drive, POSITION), start, end)[1]
-        there, back = float(np.max(x) - x[0]), float(x[0] - np.min(x))
-        way = float(np.max(np.abs(np.diff(x, prepend=x[0])).cumsum()))
-        if way > BOTH_WAYS * max(there, back):
+        forward, back = float(np.max(x) - x[0]), float(x[0] - np.min(x))
+        travelled = float(np.max(np.abs(np.diff(x, prepend=x[0])).cumsum()))
+        if travelled > BOTH_WAYS * max(forward, back):
             return float(means[np.argmax(np.abs(means))])
-        sign = 1.0 if there >= back else -1.0
+        sign = 1.0 if forward >= back else -1.0
     return float(sign * np.max(sign * means))
 
 
@@ -113,10 +113,10 @@ def _tracking(signals: SignalMap, start: float | None, end: float | None, drive:
     """Return the reference's instants, |v_ref - v| there, and the times (s) to the next: in between it is no target."""
     t, reference, gaps = held(signals, _of(drive, REFERENCE), start, end)
     when, v = signals[_of(drive, SPEED)]
-    at = newest(when, t)
-    if at[0] < 0:
+    indices = newest(when, t)
+    if indices[0] < 0:
         raise ValueError(f"{_of(drive, SPEED)} has no value yet at {t[0]:g} s, where the reference begins")
-    return t, np.abs(reference - v[at]), gaps * NS
+    return t, np.abs(reference - v[indices]), gaps * NS
 
 
 def _of(drive: str, signal: str) -> str:

@@ -51,8 +51,8 @@ class Geometry(Params):
 
     def numbers(self) -> Array:
         """Return the constants in the order of `profile`: the parameters, then values derived from them."""
-        given = [self.tau, self.shift, self.G, self.L_u, self.c, self.h, self.w]
-        return np.array([*given, 2.0 * self.w, self.h - self.w, 2.0 * self.w / math.pi, self.G * 0.5])
+        parameters = [self.tau, self.shift, self.G, self.L_u, self.c, self.h, self.w]
+        return np.array([*parameters, 2.0 * self.w, self.h - self.w, 2.0 * self.w / math.pi, self.G * 0.5])
 
 
 class Mechanics(Params):
@@ -195,19 +195,19 @@ def advance(
         for stage in range(4):
             ahead = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
             weight = 1.0 if stage == 0 or stage == 3 else 2.0
-            at, x_rate = x + ahead * x_rate, v + ahead * v_rate
+            x_ahead, x_rate = x + ahead * x_rate, v + ahead * v_rate
             pull = 0.0
             if on_a:
-                a_rate, force = charged(a + ahead * a_rate, u_a, R, at, 0, turn_a, geometry)
+                a_rate, force = charged(a + ahead * a_rate, u_a, R, x_ahead, 0, turn_a, geometry)
                 a_total, pull = a_total + weight * a_rate, pull + force
             if on_b:
-                b_rate, force = charged(b + ahead * b_rate, u_b, R, at, 1, turn_b, geometry)
+                b_rate, force = charged(b + ahead * b_rate, u_b, R, x_ahead, 1, turn_b, geometry)
                 b_total, pull = b_total + weight * b_rate, pull + force
             if on_c:
-                c_rate, force = charged(c + ahead * c_rate, u_c, R, at, 2, turn_c, geometry)
+                c_rate, force = charged(c + ahead * c_rate, u_c, R, x_ahead, 2, turn_c, geometry)
                 c_total, pull = c_total + weight * c_rate, pull + force
             if on_d:
-                d_rate, force = charged(d + ahead * d_rate, u_d, R, at, 3, turn_d, geometry)
+                d_rate, force = charged(d + ahead * d_rate, u_d, R, x_ahead, 3, turn_d, geometry)
                 d_total, pull = d_total + weight * d_rate, pull + force
             v_rate = (pull - damping * x_rate - drag) / mass
             if stuck:

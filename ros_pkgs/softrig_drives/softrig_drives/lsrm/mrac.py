@@ -82,8 +82,8 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
         error = v - reference[1]
         phi = (reference[2] - self.k * error, v, 1.0)
         theta = tuple(
-            min(max(theta - rate * part * error, low), high)
-            for theta, rate, part, low, high in zip(x.theta, self._rates, phi, p.theta_min, p.theta_max, strict=True)
+            min(max(theta - rate * phi_i * error, low), high)
+            for theta, rate, phi_i, low, high in zip(x.theta, self._rates, phi, p.theta_min, p.theta_max, strict=True)
         )
-        force = total(theta * part for theta, part in zip(theta, phi, strict=True))
+        force = total(theta * phi_i for theta, phi_i in zip(theta, phi, strict=True))
         return State(theta), {"force_cmd": (self.clip(force),), "theta": theta}

@@ -111,10 +111,10 @@ class Profile:
         if self.kind == "step":
             return position, 0.0, 0.0
         # The braking is the acceleration run backwards, shortest way: x(t_db) - x(t_db - t)
-        whole = self._ramp(t_db, t_db, None)[0]
+        distance = self._ramp(t_db, t_db, None)[0]
         left = max(0.0, t_db - (t - t_b))
         x, v, a = self._ramp(left, t_db, None)
-        return position + whole - x, v, (-a if left > 0.0 else 0.0)
+        return position + distance - x, v, (-a if left > 0.0 else 0.0)
 
     def _forward(self, t: float) -> Point:
         if self.kind == "step":

@@ -275,10 +275,10 @@ class BldcPlant(Plant[BldcPlantParams]):
         a, b, c = gates
         if _wrong(a) or _wrong(b) or _wrong(c):
             self.report(Level.WARN, "clipped", f"gates {gates}, expected 0 to 1, or -1 for off: clipped")
-        held = (OFF, OFF, OFF) if x.fault else (_gate(a), _gate(b), _gate(c))
+        applied = (OFF, OFF, OFF) if x.fault else (_gate(a), _gate(b), _gate(c))
         load = self._profile.at(t) + (0.0 if load_torque is None else load_torque[0])
         i_a, i_b, i_c, w, theta = advance(
-            x.i_a, x.i_b, x.i_c, x.omega, x.theta, held, p.U_dc, p.v_diode, load, p.period, self._step, self._m
+            x.i_a, x.i_b, x.i_c, x.omega, x.theta, applied, p.U_dc, p.v_diode, load, p.period, self._step, self._m
         )
         fault = x.fault
         if not fault and max(abs(i_a), abs(i_b), abs(i_c)) > p.trip_current:

@@ -54,12 +54,12 @@ class MachineDrawing(Drawing):
         for slot in range(SLOTS):
             phase, side = belt(slot)
             role = PHASES[phase][1]
-            place = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
-            pen.circle(place, 11.0, "muted", "paper", 1.0)
+            point = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
+            pen.circle(point, 11.0, "muted", "paper", 1.0)
             size = abs(held(self.currents[phase](row) / self.full, 1.0))
-            pen.circle(place, 10.0 * math.sqrt(size), role, role, 0)
+            pen.circle(point, 10.0 * math.sqrt(size), role, role, 0)
             mark = "" if size == 0.0 else "·" if side * self.currents[phase](row) > 0 else "×"
-            pen.text((place[0], place[1] + 4.5), mark, "paper", 13.0, "middle")
+            pen.text((point[0], point[1] + 4.5), mark, "paper", 13.0, "middle")
 
     def _rotor(self, pen: Pen, row: Row) -> None:
         turn = self.pairs * self.angle(row)

@@ -123,11 +123,11 @@ class ShaftSensor(Block[ShaftSensorParams]):
         begin = x.begin if x.k else float(count)
         absolute = x.absolute or (self.p.index and x.k > 0 and turn != x.turn)
         origin = 0.0 if absolute else self.p.start - begin * self._per_count
-        seen = (count + 0.5) * self._per_count + origin
-        theta, omega = self._followed(x, seen)
+        measured = (count + 0.5) * self._per_count + origin
+        theta, omega = self._followed(x, measured)
         if absolute and not x.absolute:
-            theta = seen  # the index tells the angle: the loop does not take it for motion
-        return ShaftState(theta, omega, begin, float(turn), absolute, x.k + 1), {"measured": (seen, omega)}
+            theta = measured  # the index tells the angle: the loop does not take it for motion
+        return ShaftState(theta, omega, begin, float(turn), absolute, x.k + 1), {"measured": (measured, omega)}
 
     def _followed(self, x: ShaftState, angle: float) -> tuple[float, float]:
         theta = x.theta + self.p.period * x.omega

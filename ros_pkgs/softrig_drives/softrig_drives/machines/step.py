@@ -17,13 +17,13 @@ Vector = tuple[float, ...]
 
 
 @cache
-def stepper(machine: Any, seen: Any) -> Callable[..., Vector]:
+def stepper(machine: Any, observe: Any) -> Callable[..., Vector]:
     """Create the function that moves a machine by one period.
 
     Parameters
     ----------
-    machine, seen : callable
-        `rates` and `seen` of a machine's module.
+    machine, observe : callable
+        `rates` and `observe` of a machine's module.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def stepper(machine: Any, seen: Any) -> Callable[..., Vector]:
 
     @jit
     def phases(x: Any, m: Any) -> tuple[float, float, float]:
-        i_alpha, i_beta, _ = seen(x[0], x[1], x[2], x[3], x[5], m)
+        i_alpha, i_beta, _ = observe(x[0], x[1], x[2], x[3], x[5], m)
         b = -0.5 * i_alpha + 0.5 * SQRT3 * i_beta
         return i_alpha, b, -i_alpha - b
 

@@ -43,12 +43,12 @@ class SynchronousConstants(Params):
     @model_validator(mode="after")
     def _tables(self) -> Self:
         sizes = len(self.table_i_d), len(self.table_i_q)
-        given = *sizes, len(self.table_psi_d), len(self.table_psi_q)
-        if given == (0, 0, 0, 0):
+        lengths = *sizes, len(self.table_psi_d), len(self.table_psi_q)
+        if lengths == (0, 0, 0, 0):
             return self
-        if min(sizes) < 2 or given[2:] != (sizes[0] * sizes[1],) * 2:
+        if min(sizes) < 2 or lengths[2:] != (sizes[0] * sizes[1],) * 2:
             raise ValueError(
-                f"flux tables of {given[0]} i_d, {given[1]} i_q, {given[2]} psi_d, {given[3]} psi_q: expected at least "
+                f"flux tables of {lengths[0]} i_d, {lengths[1]} i_q, {lengths[2]} psi_d, {lengths[3]} psi_q: expected at least "
                 "two currents of each axis, and i_d times i_q values of each flux linkage"
             )
         for name in ("table_i_d", "table_i_q"):
@@ -126,10 +126,10 @@ def linkage(i_d: float, i_q: float, m: Any) -> tuple[float, float, float, float,
     x, y = (i_d - m[7]) / m[8], ((-i_q if mirrored else i_q) - m[9]) / m[10]
     row, column = min(max(int(x), 0), n_d - 2), min(max(int(y), 0), n_q - 2)
     x, y = x - row, y - column
-    at = TABLE + 4 + row * n_q + column
-    a, b, c, d = m[at], m[at + 1], m[at + n_q], m[at + n_q + 1]
-    at = at + n_d * n_q
-    e, f, g, h = m[at], m[at + 1], m[at + n_q], m[at + n_q + 1]
+    index = TABLE + 4 + row * n_q + column
+    a, b, c, d = m[index], m[index + 1], m[index + n_q], m[index + n_q + 1]
+    index = index + n_d * n_q
+    e, f, g, h = m[index], m[index + 1], m[index + n_q], m[index + n_q + 1]
     psi_d = (1.0 - x) * ((1.0 - y) * a + y * b) + x * ((1.0 - y) * c + y * d)
     psi_q = (1.0 - x) * ((1.0 - y) * e + y * f) + x * ((1.0 - y) * g + y * h)
     l_dd, l_dq = ((1.0 - y) * (c - a) + y * (d - b)) / m[8], ((1.0 - x) * (b - a) + x * (d - c)) / m[10]

@@ -60,9 +60,9 @@ class Firefly(Population):
                         continue
                     brighter = costs[j] < costs[i]
                     if brighter:
-                        to = x[j] - x[i]
-                        beta = self.beta0 * math.exp(-self.gamma * dense.product(to, to))
-                        wander = self.alpha * (self.rng.random(to.size) - 0.5)
-                        x[i] = self.clip(x[i] + beta * to + wander)
+                        difference = x[j] - x[i]
+                        beta = self.beta0 * math.exp(-self.gamma * dense.product(difference, difference))
+                        wander = self.alpha * (self.rng.random(difference.size) - 0.5)
+                        x[i] = self.clip(x[i] + beta * difference + wander)
                     if brighter or self.all_pairs:
                         (costs[i],) = yield points(x[i : i + 1])

@@ -51,9 +51,9 @@ class SalpSwarm(Population):
         self.c3_threshold = c3_threshold
         super().__init__(lower, upper, seed, **options)
 
-    def follow(self, own: Array, ahead: Array) -> Array:
+    def follow(self, position: Array, ahead: Array) -> Array:
         """Return the new position of a follower of the salp ahead, eq. (7)."""
-        return (own + ahead) / 2.0
+        return (position + ahead) / 2.0
 
     def moves(self) -> Moves:  # noqa: D102
         n = self.lower.size
@@ -91,9 +91,9 @@ class ImprovedSalpSwarm(SalpSwarm):
 
     AMPLITUDE, DECAY = 2.3, 3.2
 
-    def follow(self, own: Array, ahead: Array) -> Array:
+    def follow(self, position: Array, ahead: Array) -> Array:
         """Return the new position of a follower of the salp ahead, eq. (9)."""
-        return 0.5 * np.sqrt(own**2 + 3.0 * ahead**2)
+        return 0.5 * np.sqrt(position**2 + 3.0 * ahead**2)
 
     def moves(self) -> Moves:  # noqa: D102
         # The root in equation (9) loses the sign, so a follower could never reach a negative value.

@@ -66,8 +66,8 @@ def advance(
         Current (A), voltage of the capacitor (V), mean current over the period (A, trapezoidal).
     """
     charge, t = 0.0, 0.0
-    for part in range(2):
-        on = part == 0
+    for interval in range(2):
+        on = interval == 0
         end = duty * period if on else period
         feeds = not boost or not on
         source = U if (boost or on) else 0.0

@@ -38,7 +38,7 @@ class Converter(NamedTuple):
     assumed: tuple[str, ...]
 
 
-def buck(given: Mapping[str, float]) -> Converter:
+def buck(rated: Mapping[str, float]) -> Converter:
     """Turn rated values into a converter.
 
     ::
@@ -50,7 +50,7 @@ def buck(given: Mapping[str, float]) -> Converter:
 
     Parameters
     ----------
-    given : mapping of str to float
+    rated : mapping of str to float
         By the names and in the units of `ASKED`. Voltages, switching frequency, and current or power are needed.
 
     Returns
@@ -67,27 +67,27 @@ def buck(given: Mapping[str, float]) -> Converter:
     ----------
     R. W. Erickson, D. Maksimovic, Fundamentals of Power Electronics, 2nd ed., 2001, sections 2.2, 2.5 and 9.5.
     """
-    check(given, ASKED, ("U_in", "U_out", "f_sw", ("current", "power")),
+    check(rated, ASKED, ("U_in", "U_out", "f_sw", ("current", "power")),
           (("current", "power"), ("L", "ripple_current"), ("C", "ripple_voltage")))  # fmt: skip
-    U, v, f = given["U_in"], given["U_out"], given["f_sw"]
+    U, v, f = rated["U_in"], rated["U_out"], rated["f_sw"]
     if v >= 0.95 * U:
         raise ValueError(
             f"U_out = {v:g} V: expected less than 0.95 U_in = {0.95 * U:.4g} V; a buck converter lowers a voltage"
         )
-    current = given["current"] if "current" in given else given["power"] / v
+    current = rated["current"] if "current" in rated else rated["power"] / v
     assumed: list[str] = []
     plausible("f_sw", f, "Hz", 100.0, 1e8, "is it in Hz?")
-    L = given.get("L")
+    L = rated.get("L")
     if L is None:
-        ripple = given.get("ripple_current", CURRENT * current)
+        ripple = rated.get("ripple_current", CURRENT * current)
         L = (1.0 - v / U) * v / (ripple * f)
-        if "ripple_current" not in given:
+        if "ripple_current" not in rated:
             assumed.append(f"L = {L:.4g} H: a ripple of {CURRENT:.0%} of the rated current")
     swing = (1.0 - v / U) * v / (L * f)
     plausible("L", swing / current, "times the rated current as ripple", 1e-3, 20.0, "is it in H?")
-    C = given.get("C")
+    C = rated.get("C")
     if C is None:
-        ripple = given.get("ripple_voltage", VOLTAGE * v)
+        ripple = rated.get("ripple_voltage", VOLTAGE * v)
         C = max(swing / (8.0 * f * ripple), (LEAST * CROSSOVER / (2.0 * math.pi * f)) ** 2 / L)
         assumed.append(
             f"C = {C:.4g} F: for a ripple of {ripple:.4g} V, and a resonance at most 1/{LEAST * CROSSOVER:g} of f_sw"
@@ -106,10 +106,10 @@ def buck(given: Mapping[str, float]) -> Converter:
         ("R_C", v / current),
         ("v_diode", v),
     ):
-        if name in given:
-            plausible(name, given[name], ASKED[name][1], 0.0, largest, "it would take half of the voltage or more")
-            plant[name] = given[name]
-    lost = {"R_L", "R_on", "R_C", "v_diode"} - given.keys()
+        if name in rated:
+            plausible(name, rated[name], ASKED[name][1], 0.0, largest, "it would take half of the voltage or more")
+            plant[name] = rated[name]
+    lost = {"R_L", "R_on", "R_C", "v_diode"} - rated.keys()
     if lost:
         assumed.append(f"{', '.join(sorted(lost))} = 0")
     plant |= dict.fromkeys(lost, 0.0)
@@ -125,7 +125,7 @@ def buck(given: Mapping[str, float]) -> Converter:
     return Converter(plant, law, tuple(assumed))
 
 
-def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
+def scenario(name: str, rated: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
     """Write a scenario for a buck converter.
 
     Returns
@@ -135,10 +135,10 @@ def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...
     tuple of str
         What was assumed.
     """
-    result = buck(given)
-    v, t_i = given["U_out"], result.law["t_i"]
+    result = buck(rated)
+    v, t_i = rated["U_out"], result.law["t_i"]
     loaded, end = 30.0 * t_i, 60.0 * t_i
-    message = f"""{head(given, ASKED, result.assumed, "A buck converter")}
+    message = f"""{head(rated, ASKED, result.assumed, "A buck converter")}
 extends: buck_pi
 title: Voltage control of {name}
 system: {name}

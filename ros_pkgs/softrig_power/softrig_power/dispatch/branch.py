@@ -62,24 +62,24 @@ def branch_and_bound(
     """
     order, n = units.order, len(units)
     groups = units.groups[order]
-    given = conditions or Conditions(units.p_min, units.p_max, Losses.none(n), 0.0, units.p_max - units.p_min)
+    active = conditions or Conditions(units.p_min, units.p_max, Losses.none(n), 0.0, units.p_max - units.p_min)
     # Identical units differ in ramps and losses, so their order may not be fixed.
     if conditions is not None:
         groups = np.arange(n)
-    losses = given.losses
+    losses = active.losses
     problem = Problem(
         np.ascontiguousarray(units.table[order]),
         groups,
         float(demand),
         tol,
         NARROW,
-        given.low[order],
-        given.high[order],
+        active.low[order],
+        active.high[order],
         np.ascontiguousarray(losses.B[np.ix_(order, order)]),
         losses.B0[order],
         float(losses.B00),
-        float(given.reserve),
-        given.ready[order],
+        float(active.reserve),
+        active.ready[order],
         conditions is not None,
     )
     corners = 4 + max(len(units.valve_points(j)) for j in range(n))
@@ -157,10 +157,10 @@ def chord_excess(unit: Any, x0: Any, x1: Any) -> Any:
     """
     p_min, a, b, e, f = unit[0], unit[2], unit[3], unit[5], unit[6]
     h = x1 - x0
-    whole = 0.25 * a * h * h
+    quadratic = 0.25 * a * h * h
     strength = e * f * f
     if strength <= 2.0 * a:
-        return whole
+        return quadratic
     weak = 2.0 * a / strength
     s0, s1 = abs(math.sin(f * (x0 - p_min))), abs(math.sin(f * (x1 - p_min)))
     sign = 1.0 if math.sin(f * (0.5 * (x0 + x1) - p_min)) >= 0.0 else -1.0
@@ -170,7 +170,7 @@ def chord_excess(unit: Any, x0: Any, x1: Any) -> Any:
     if not (falls or rises):
         return 0.0
     w = math.asin(weak) / f
-    return min(whole, a * w * w)
+    return min(quadratic, a * w * w)
 
 
 @jit
@@ -375,16 +375,16 @@ def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
         room += weight[j] * x[j, last]
         knee = table[j, 1] - ready[j]
         for i in range(last):
-            whole = x[j, i + 1] - x[j, i]
-            rise = (y[j, i + 1] - y[j, i]) / whole
+            length = x[j, i + 1] - x[j, i]
+            rise = (y[j, i + 1] - y[j, i]) / length
             cut = knee - x[j, i]
             # Beyond the knee each MW of output takes a MW from the reserve, so the piece is cut there.
-            if reserve > 0.0 and 0.0 < cut < whole:
+            if reserve > 0.0 and 0.0 < cut < length:
                 width[pieces], slope[pieces], owner[pieces], beyond[pieces] = cut, rise, j, 0.0
                 pieces += 1
-                width[pieces], slope[pieces], owner[pieces], beyond[pieces] = whole - cut, rise, j, 1.0
+                width[pieces], slope[pieces], owner[pieces], beyond[pieces] = length - cut, rise, j, 1.0
             else:
-                width[pieces], slope[pieces], owner[pieces] = whole, rise, j
+                width[pieces], slope[pieces], owner[pieces] = length, rise, j
                 beyond[pieces] = 1.0 if reserve > 0.0 and cut <= 0.0 else 0.0
             pieces += 1
     return lower, filled, room, pieces
@@ -454,9 +454,9 @@ def _widest(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
     lo, hi, x, y, count = boxes.lo[t], boxes.hi[t], boxes.x[t], boxes.y[t], boxes.count[t]
     cost, gap, split = 0.0, -1.0, -1
     for j in range(n):
-        here = unit_cost(table[j], P[j])
-        cost += here
-        missing = here - _value(x[j], y[j], count[j], P[j])
+        exact = unit_cost(table[j], P[j])
+        cost += exact
+        missing = exact - _value(x[j], y[j], count[j], P[j])
         # The errors of the tangent and of the reserve shrink with the width, so wide units are split for them too.
         if problem.conditioned:
             for i in range(n):
@@ -469,37 +469,37 @@ def _widest(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
 
 
 @jit
-def _split(problem: Problem, boxes: Boxes, t: Any, split: Any, at: Any, lower: Any) -> None:
+def _split(problem: Problem, boxes: Boxes, t: Any, split: Any, cut: Any, lower: Any) -> None:
     """Split box t where the relaxation puts a unit: the lower part stays in t, the upper part is pushed onto
     the stack.
     """
     lo, hi, x, y, count, bound = boxes
     table, groups, narrow, n = problem.table, problem.groups, problem.narrow, lo.shape[1]
-    at = min(max(at, lo[t, split]), hi[t, split])
+    cut = min(max(cut, lo[t, split]), hi[t, split])
     # A split at an end would leave the box as it was and never end.
-    if min(at - lo[t, split], hi[t, split] - at) <= 2.0 * narrow:
-        at = 0.5 * (lo[t, split] + hi[t, split])
+    if min(cut - lo[t, split], hi[t, split] - cut) <= 2.0 * narrow:
+        cut = 0.5 * (lo[t, split] + hi[t, split])
     s = t + 1
     for j in range(n):
         lo[s, j], hi[s, j], count[s, j] = lo[t, j], hi[t, j], count[t, j]
         for i in range(count[t, j]):
             x[s, j, i], y[s, j, i] = x[t, j, i], y[t, j, i]
     bound[t] = bound[s] = lower
-    # Identical units are in falling order. In the half below, this unit and those after it are at most `at`; in the
-    # half above, this unit and those before it are at least `at`.
+    # Identical units are in falling order. In the half below, this unit and those after it are at most `cut`; in the
+    # half above, this unit and those before it are at least `cut`.
     j = split
-    while j < n and groups[j] == groups[split] and hi[t, j] > at:
-        hi[t, j] = at
-        if lo[t, j] > at:
+    while j < n and groups[j] == groups[split] and hi[t, j] > cut:
+        hi[t, j] = cut
+        if lo[t, j] > cut:
             bound[t] = np.inf
-        count[t, j] = _hull(table[j], min(lo[t, j], at), at, narrow, x[t, j], y[t, j])
+        count[t, j] = _hull(table[j], min(lo[t, j], cut), cut, narrow, x[t, j], y[t, j])
         j += 1
     j = split
-    while j >= 0 and groups[j] == groups[split] and lo[s, j] < at:
-        lo[s, j] = at
-        if hi[s, j] < at:
+    while j >= 0 and groups[j] == groups[split] and lo[s, j] < cut:
+        lo[s, j] = cut
+        if hi[s, j] < cut:
             bound[s] = np.inf
-        count[s, j] = _hull(table[j], at, max(hi[s, j], at), narrow, x[s, j], y[s, j])
+        count[s, j] = _hull(table[j], cut, max(hi[s, j], cut), narrow, x[s, j], y[s, j])
         j -= 1
 
 

@@ -230,12 +230,12 @@ class Optimiser:
                 dispatch.reason, dispatch.limited = "time limit in the MILP", True
                 return
             missing = [self._missing(j, model.P[j], points[j], low[j]) for j in range(len(self.units))]
-            splits = [(j, at) for j, (at, below) in enumerate(missing) if below > self.tol / (2 * len(self.units))]
-            for j, at in splits:
+            splits = [(j, cut) for j, (cut, below) in enumerate(missing) if below > self.tol / (2 * len(self.units))]
+            for j, cut in splits:
                 # Identical units share their points.
                 for k in np.flatnonzero(groups == groups[j]):
-                    if at not in points[k]:
-                        points[k] = np.sort(np.append(points[k], at))
+                    if cut not in points[k]:
+                        points[k] = np.sort(np.append(points[k], cut))
             if not splits:
                 dispatch.reason = "the model is as exact as its numbers"
                 return
@@ -258,7 +258,7 @@ class Optimiser:
         if why:
             raise InfeasibleError(why)
 
-    def start(self, demand: float, given: Array | None = None) -> Array:
+    def start(self, demand: float, guess: Array | None = None) -> Array:
         """Return a feasible dispatch as a start: the given one, or each unit at the same share of its range.
 
         Returns
@@ -269,7 +269,7 @@ class Optimiser:
         low, high = self.units.p_min, self.units.p_max
         room = float((high - low).sum())
         even = low + (high - low) * ((demand - low.sum()) / room if room else 0.0)
-        return nlp(self.units, demand, balanced(self.units, even if given is None else given, demand))[0]
+        return nlp(self.units, demand, balanced(self.units, even if guess is None else guess, demand))[0]
 
     def _answer(self, P: Array) -> Dispatch:
         return Dispatch(P, self.units.total(P), price=marginal_cost(self.units, P))

@@ -98,11 +98,11 @@ class Conditions:
         cls, units: Units, losses: Losses | None = None, reserve: float = 0.0, now: Array | None = None
     ) -> Conditions:
         """Create conditions from ramps and readiness of the units' table; `now`: outputs, the table's when absent."""
-        at = units.now if now is None else now
+        outputs = units.now if now is None else now
         low, high = units.p_min.copy(), units.p_max.copy()
-        known = np.isfinite(at)
-        low = np.where(known, np.maximum(low, at - units.ramp_down), low)
-        high = np.where(known, np.minimum(high, at + units.ramp_up), high)
+        known = np.isfinite(outputs)
+        low = np.where(known, np.maximum(low, outputs - units.ramp_down), low)
+        high = np.where(known, np.minimum(high, outputs + units.ramp_up), high)
         return cls(low, high, losses or Losses.none(len(units)), reserve, units.ready)
 
     def spinning(self, units: Units, P: Array) -> float:

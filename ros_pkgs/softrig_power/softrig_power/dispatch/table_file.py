@@ -109,8 +109,8 @@ def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
     columns = columns[:used]
     twice = [name for name, count in Counter(columns).items() if count > 1 or not name]
     if twice:
-        what = f"column {twice[0]} occurs twice" if twice[0] else "a column has no name"
-        raise TableError(f"{path.name}: {what}")
+        reason = f"column {twice[0]} occurs twice" if twice[0] else "a column has no name"
+        raise TableError(f"{path.name}: {reason}")
     body = [(k, row[:used] if not any(row[used:]) else row) for k, row in lines[1:]]
     for k, row in body:
         if len(row) != used:

@@ -61,10 +61,10 @@ def breakpoints(units: Units, nseg: int) -> list[Array]:
     for j in range(len(units)):
         ends = units.valve_points(j)
         _, _, _, _, _, e, f = units.table[j]
-        whole = np.pi / f if e > 0.0 and f > 0.0 else np.inf
+        arch = np.pi / f if e > 0.0 and f > 0.0 else np.inf
         points = [ends[:1]]
         for x0, x1 in pairwise(ends):
-            count = nseg if whole == np.inf else max(1, round(nseg * (x1 - x0) / whole))
+            count = nseg if arch == np.inf else max(1, round(nseg * (x1 - x0) / arch))
             points.append(np.linspace(x0, x1, count + 1)[1:])
         result.append(np.concatenate(points))
     return result
@@ -178,11 +178,11 @@ def milp(
 
 def _as_columns(P: Array, points: Sequence[Array], segments: int) -> list[float]:
     """Write a dispatch in the columns of the MILP."""
-    z, w, at = np.zeros(segments), np.zeros(segments), 0
+    z, w, offset = np.zeros(segments), np.zeros(segments), 0
     for p, ends in zip(P, points, strict=True):
         k = max(0, min(int(np.searchsorted(ends, p, "right")) - 1, len(ends) - 2))
-        z[at + k], w[at + k] = 1.0, p - ends[k]
-        at += max(1, len(ends) - 1)
+        z[offset + k], w[offset + k] = 1.0, p - ends[k]
+        offset += max(1, len(ends) - 1)
     return [*z, *w]
 
 

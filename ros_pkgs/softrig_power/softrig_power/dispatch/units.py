@@ -251,12 +251,12 @@ def infeasible(units: Units, demand: float) -> str:
     return f"infeasible: demand {demand:g} MW, but the units give {low:g} to {high:g} MW"
 
 
-def balanced(units: Units, given: ArrayLike, demand: float) -> Array:
+def balanced(units: Units, dispatch: ArrayLike, demand: float) -> Array:
     """Move a dispatch exactly within the limits and onto the balance, changing as few units as little as possible.
 
     Parameters
     ----------
-    given : array_like, shape (n,)
+    dispatch : array_like, shape (n,)
         MW, nearly feasible.
 
     Returns
@@ -264,7 +264,7 @@ def balanced(units: Units, given: ArrayLike, demand: float) -> Array:
     ndarray, shape (n,)
         The rest goes to the unit that costs least to move there.
     """
-    P = np.clip(np.asarray(given, dtype=float), units.p_min, units.p_max)
+    P = np.clip(np.asarray(dispatch, dtype=float), units.p_min, units.p_max)
     for _ in range(len(units)):
         remaining = demand - float(P.sum())
         if abs(remaining) <= 1e-9 * max(1.0, abs(demand)):

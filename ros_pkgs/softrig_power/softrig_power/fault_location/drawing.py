@@ -35,10 +35,10 @@ class FaultedLine(Drawing):
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
         """Line with its ends, fault and place found, then the oscillograms."""
         y = self.Y
-        for x, to, name in ((40.0, self.LEFT, "S"), (600.0, self.RIGHT, "R")):
-            pen.line([(x, y), (to, y)], "line", 2.0)
+        for x, x_end, name in ((40.0, self.LEFT, "S"), (600.0, self.RIGHT, "R")):
+            pen.line([(x, y), (x_end, y)], "line", 2.0)
             source(pen, (x, y), 20.0)
-            bus(pen, to, y - 36.0, y + 36.0, name)
+            bus(pen, x_end, y - 36.0, y + 36.0, name)
         pen.line([(self.LEFT, y), (self.RIGHT, y)], "line", 2.5)
         for k in range(5):
             x = self.LEFT + (self.RIGHT - self.LEFT) * k / 4
@@ -64,8 +64,8 @@ class FaultedLine(Drawing):
         )
         pen.text((320, 28), f"located at {self.place.text_of(row, '.3f')}" if result else "", "third", 14.0, "middle")
         for left, end in ((30.0, "s"), (340.0, "r")):
-            for top, which, name, full in ((196.0, 0, "Voltages", self.volts), (286.0, 1, "Currents", 8000.0)):
-                values = self.ends[end][which]
+            for top, quantity, name, full in ((196.0, 0, "Voltages", self.volts), (286.0, 1, "Currents", 8000.0)):
+                values = self.ends[end][quantity]
                 pen.text(
                     (left, top - 5), f"{name} at {end.upper()}, ±{full / 1e3:.0f} k{values[0].unit}", "muted", 12.0
                 )

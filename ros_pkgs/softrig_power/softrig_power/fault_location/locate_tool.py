@@ -77,10 +77,10 @@ def read(sources: Sequence[Path], channels: Sequence[str] = (), late: tuple[floa
         topic = recording.topics.get("line/record")
         if topic is not None and topic.data:
             values = np.array(parse(topic.msgtype, topic.data[-1]).fields["data"], dtype=np.float64)
-            whole = Record.from_table(values.reshape(-1, len(COLUMNS)))
+            both = Record.from_table(values.reshape(-1, len(COLUMNS)))
             if late[0] == late[1]:
-                return whole
-            return Record.from_ends(whole.t - late[0], whole.samples[:, :6], whole.t - late[1], whole.samples[:, 6:])
+                return both
+            return Record.from_ends(both.t - late[0], both.samples[:, :6], both.t - late[1], both.samples[:, 6:])
         first = min((t.times[0] for t in recording.topics.values() if t.times), default=0)
         epoch = first if first > EPOCH else 0  # stamps of a wall clock: t = 0 is the first of them
         return Record.from_signals(Signals(recording, epoch), late)
@@ -160,18 +160,18 @@ def _named(option: str, texts: Sequence[str]) -> dict[str, Any]:
 
 def _params(options: argparse.Namespace, frequency: float = 0.0) -> LocatorParams:
     """Return the locator's parameters; the recorders' frequency (Hz) unless another is given."""
-    given = _named("--set", options.set)
-    given |= line_data(options.line, given)
+    values = _named("--set", options.set)
+    values |= line_data(options.line, values)
     if frequency > 0.0:
-        given.setdefault("frequency", frequency)
+        values.setdefault("frequency", frequency)
     if options.window is not None:
-        given |= {"window_start": options.window[0], "window_end": options.window[1]}
-    return build(LocatorParams, given)  # type: ignore[return-value]
+        values |= {"window_start": options.window[0], "window_end": options.window[1]}
+    return build(LocatorParams, values)  # type: ignore[return-value]
 
 
 def _budget(options: argparse.Namespace, sync: float) -> ErrorBudget:
     """Return the error budget; the clocks' own account (s) where it is worse than the default."""
-    given = _named("--error", options.error)
+    values = _named("--error", options.error)
     if 1e6 * sync > ErrorBudget().sync_us:
-        given.setdefault("sync_us", 1e6 * sync)
-    return build(ErrorBudget, given)  # type: ignore[return-value]
+        values.setdefault("sync_us", 1e6 * sync)
+    return build(ErrorBudget, values)  # type: ignore[return-value]

@@ -142,8 +142,8 @@ class FaultLocator(Block[FaultLocatorParams]):
             "scatter_km": scatter,
         }
         objective = (*work.grid.tolist(), *work.curves.ravel().tolist())
-        place = tuple(values[name] for name in LOCATION)
-        return x, {"verdict": verdict, "location": place, "objective": objective}
+        position = tuple(values[name] for name in LOCATION)
+        return x, {"verdict": verdict, "location": position, "objective": objective}
 
     def _report_location(self, location: Location, work: Locator | None) -> None:
         good = location.status in (Status.OK, Status.NO_FAULT)

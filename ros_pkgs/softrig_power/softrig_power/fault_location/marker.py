@@ -50,14 +50,14 @@ class LocationMarker(Observer[LocationMarkerParams]):
     def markers(self, x: tuple[float, ...] | None) -> Sequence[Marker]:
         """Draw conductor and towers, and the fault."""
         p = self.p
-        places = (p.scale * np.linspace(0.0, p.length, p.towers)).tolist()
-        wire = tuple((place, 0.0, HEIGHT) for place in places)
-        poles = tuple(point for place in places for point in ((place, 0.0, 0.0), (place, 0.0, HEIGHT)))
+        positions = (p.scale * np.linspace(0.0, p.length, p.towers)).tolist()
+        wire = tuple((position, 0.0, HEIGHT) for position in positions)
+        poles = tuple(point for position in positions for point in ((position, 0.0, 0.0), (position, 0.0, HEIGHT)))
         result = [
             Marker("line", "conductor", "line_strip", wire, 0.02, GREY),
             Marker("line", "towers", "line_list", poles, 0.02, GREY),
         ]
         if x is not None:
-            place = p.scale * x[LOCATION.index("x_km")]
-            result.append(Marker("line", "fault", "sphere_list", ((place, 0.0, HEIGHT),), 0.2, RED))
+            position = p.scale * x[LOCATION.index("x_km")]
+            result.append(Marker("line", "fault", "sphere_list", ((position, 0.0, HEIGHT),), 0.2, RED))
         return result

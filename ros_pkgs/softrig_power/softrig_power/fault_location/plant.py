@@ -38,13 +38,13 @@ class LinePlantParams(RigParams, BlockParams):
 
     @model_validator(mode="before")
     @classmethod
-    def _profile_gives_period(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "period" not in given:
-            measurement = given.get("measurement", {})
+    def _profile_gives_period(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "period" not in values:
+            measurement = values.get("measurement", {})
             profile = measurement.get("profile") if isinstance(measurement, dict) else measurement.profile
             if profile in RATES:
-                return {**given, "period": 1.0 / RATES[profile]}
-        return given
+                return {**values, "period": 1.0 / RATES[profile]}
+        return values
 
     @model_validator(mode="after")
     def _period_of_profile(self) -> Self:
@@ -111,9 +111,9 @@ class LinePlant(Plant[LinePlantParams]):
         """Return the instrument readings of a sample: its time, and the values with noise."""
         messages = tuple([u + 0.0 for u in measured])
         if self.p.measurement.noise_snr_db is not None:
-            normal, at = self._noise(seed), CHANNELS * k
+            normal, offset = self._noise(seed), CHANNELS * k
             messages = tuple(
-                [u + s * normal(at + c) for c, (u, s) in enumerate(zip(messages, self._level, strict=True))]
+                [u + s * normal(offset + c) for c, (u, s) in enumerate(zip(messages, self._level, strict=True))]
             )
         return (k / self._rate, *messages)
 

@@ -141,7 +141,7 @@ def sensitivity(mode: str = "auto", processes: int | None = None) -> dict[str, l
     table: dict[str, dict[Case, list[float]]] = {}
     for (name, case, _, _), row in zip(rows, result, strict=True):
         table.setdefault(name, {}).setdefault(case, []).append(row.error_m)
-    return {name: [e[0] if len(e) == 1 else float(np.std(e)) for e in by.values()] for name, by in table.items()}
+    return {name: [e[0] if len(e) == 1 else float(np.std(e)) for e in cases.values()] for name, cases in table.items()}
 
 
 def as_csv(rows: Sequence[Row]) -> str:

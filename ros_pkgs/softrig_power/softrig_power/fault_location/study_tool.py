@@ -48,12 +48,12 @@ def summary(rows: Sequence[Row]) -> str:
     """Return mean and largest |error| and the computation time of each method as a table, with the published ones."""
     lines = [f"{'method':<18}{'mean |E| %':>12}{'max |E| %':>12}{'max m':>10}{'CPU s':>10}{'located':>9}"]
     for method in dict.fromkeys(row.method for row in rows):
-        own = [row for row in rows if row.method == method]
-        errors = np.array([abs(row.error_percent) for row in own if row.error_percent is not None])
-        spent = np.mean([row.cpu_s for row in own])
+        selected = [row for row in rows if row.method == method]
+        errors = np.array([abs(row.error_percent) for row in selected if row.error_percent is not None])
+        spent = np.mean([row.cpu_s for row in selected])
         lines.append(
             f"{method:<18}{errors.mean():>12.4f}{errors.max():>12.4f}{errors.max() * 1200.0:>10.1f}{spent:>10.3f}"
-            f"{errors.size:>6}/{len(own)}"
+            f"{errors.size:>6}/{len(selected)}"
         )
     for name, key in (("published WOA", "woa_error"), ("published GWO", "gwo_error")):
         printed = np.array([abs(getattr(row, key)) for row in PUBLISHED.values()])
@@ -69,19 +69,19 @@ def sensitivity_table(table: dict[str, list[float]]) -> str:
     return "\n".join(lines)
 
 
-def _save(rows: Sequence[Row], out: Path) -> None:
+def _save(rows: Sequence[Row], folder: Path) -> None:
     """Write the table and the four pictures of the system."""
     from .pictures import methods, misprints, objective, waveforms
 
-    out.mkdir(parents=True, exist_ok=True)
-    replace(out / "cases.csv", as_csv(rows))
-    methods(rows, out / "methods.png")
+    folder.mkdir(parents=True, exist_ok=True)
+    replace(folder / "cases.csv", as_csv(rows))
+    methods(rows, folder / "methods.png")
     rig, p = RigParams(), LocatorParams()
     record, fault = simulate(rig), rig.fault
-    waveforms(record, p, out / "waveforms.png", (fault.t_on, fault.t_off))
-    objective(record, p, locate(record, p), out / "objective.png", truth=fault.x_km)
+    waveforms(record, p, folder / "waveforms.png", (fault.t_on, fault.t_off))
+    objective(record, p, locate(record, p), folder / "objective.png", truth=fault.x_km)
     far = RigParams(fault=FaultParams(x_km=115.0, rf_ohm=15.0))
-    misprints(simulate(far), p, out / "misprints.png", truth=far.fault.x_km)
+    misprints(simulate(far), p, folder / "misprints.png", truth=far.fault.x_km)
 
 
 if __name__ == "__main__":

@@ -38,8 +38,8 @@ class Gupfc(Drawing):
             bus(pen, x, 60.0, 320.0, name)
         for x, y, name in ((270, upper, "1"), (390, upper, "2"), (270, lower, "3"), (390, lower, "4")):
             bus(pen, x, y - 26.0, y + 26.0, name)
-        for x, to in ((40, 110), (640, 570)):
-            pen.line([(x, middle), (to, middle)], "line", 2.0)
+        for x, x_end in ((40, 110), (640, 570)):
+            pen.line([(x, middle), (x_end, middle)], "line", 2.0)
             source(pen, (x, middle), 18.0)
         pen.line([(270, upper), (270, middle - 24)], "line", 2.0)
         for y, toward in ((upper, 1), (lower, -1)):

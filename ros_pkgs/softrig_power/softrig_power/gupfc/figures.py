@@ -26,10 +26,10 @@ def shunt_angle(signals: SignalMap, *, start: float | None = None, end: float | 
     """Mean angle over time alpha of the shunt converter's voltage ahead of bus 1, rad."""
     t, angle, gaps = held(signals, ANGLE, start, end)
     alpha, beta = (signals[name] for name in (U1_ALPHA, U1_BETA))
-    at = newest(alpha[0], t + HALF_NS)
-    if at[0] < 0:
+    indices = newest(alpha[0], t + HALF_NS)
+    if indices[0] < 0:
         raise ValueError(f"{U1_ALPHA} has no value yet at {t[0]:g} s, where {ANGLE} begins")
-    turned = np.exp(1j * angle) * (alpha[1][at] - 1j * beta[1][at])
+    turned = np.exp(1j * angle) * (alpha[1][indices] - 1j * beta[1][indices])
     return math.atan2(mean_over(turned.imag, gaps), mean_over(turned.real, gaps))
 
 
@@ -182,7 +182,7 @@ def best_sigma(signals: SignalMap) -> float:
     t, thd = signals["pulses/quality/thd/position"]
     when, sigma = signals["shunt/command/sigma/effort"]
     best = float(t[int(np.argmin(thd))])
-    at = int(newest(when, np.array([best + HALF_NS]))[0])
-    if at < 0:
+    index = int(newest(when, np.array([best + HALF_NS]))[0])
+    if index < 0:
         raise ValueError(f"shunt/command/sigma/effort has no value yet at {best:g} s, where the distortion is least")
-    return float(sigma[at])
+    return float(sigma[index])

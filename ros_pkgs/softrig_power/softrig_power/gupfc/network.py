@@ -110,15 +110,15 @@ def admittance(half: Complex, source: complex, series: complex, shunt: complex =
     -------
     ndarray, shape (6, 6)
     """
-    at = {bus: k for k, bus in enumerate(BUSES)}
+    index = {bus: k for k, bus in enumerate(BUSES)}
     Y = np.zeros((6, 6), dtype=complex)
     for k, m in HALVES:
-        Y[np.ix_((at[k], at[m]), (at[k], at[m]))] += half
+        Y[np.ix_((index[k], index[m]), (index[k], index[m]))] += half
     for k, m in (("1", "2"), ("3", "4")):
-        Y[np.ix_((at[k], at[m]), (at[k], at[m]))] += series * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    Y[at["A"], at["A"]] += source
-    Y[at["B"], at["B"]] += source
-    Y[at["1"], at["1"]] += shunt
+        Y[np.ix_((index[k], index[m]), (index[k], index[m]))] += series * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    Y[index["A"], index["A"]] += source
+    Y[index["B"], index["B"]] += source
+    Y[index["1"], index["1"]] += shunt
     return Y
 
 

@@ -143,8 +143,8 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         }
         if self.p.trace:
             shown = (rows.converter[1:, 0], rows.converter[1:, 1], rows.bus[1:, BUS1], rows.current[1:, I_SH])
-            parts = np.column_stack([part for row in shown for part in (row.real, row.imag)])
-            messages["trace"] = tuple(parts.ravel().tolist())
+            components = np.column_stack([component for row in shown for component in (row.real, row.imag)])
+            messages["trace"] = tuple(components.ravel().tolist())
         return messages
 
     def advance(

@@ -105,10 +105,10 @@ class PowerFlowNode(Block[PowerFlowParams]):
         text = f"{len(x.sizes)}; taken: the one with the smallest series voltage, {used:.4g} pu"
         return {"operating points": text + (f", the next needs {others[0]:.4g} pu" if others else "")}
 
-    def _references(self, *given: tuple[float, ...] | None) -> References | None:
+    def _references(self, *messages: tuple[float, ...] | None) -> References | None:
         """Return the newest references; None, and a report, if they are impossible."""
         changes: dict[str, float] = {}
-        for names, values in zip((("p1", "q1"), ("p2", "q2"), ("v",)), given, strict=True):
+        for names, values in zip((("p1", "q1"), ("p2", "q2"), ("v",)), messages, strict=True):
             changes |= dict(zip(names, values or (), strict=False))
         try:
             return References(**{**self.p.initial.model_dump(), **changes})

@@ -91,5 +91,5 @@ class PulseGenerator(Block[PulseGeneratorParams]):
 def judged(sigma: float) -> tuple[tuple[float, ...], tuple[float, float, float]]:
     """Spectrum, and fundamental with distortion (all, up to the 50th), of a conduction angle (rad)."""
     first, result = pulses.fundamental(sigma), pulses.harmonics(sigma, max(ORDERS))
-    spectrum = tuple(part for n in ORDERS for part in (float(n), 100.0 * result[n] / first))
+    spectrum = tuple(value for n in ORDERS for value in (float(n), 100.0 * result[n] / first))
     return spectrum, (first, pulses.distortion(sigma), pulses.distortion(sigma, 50))

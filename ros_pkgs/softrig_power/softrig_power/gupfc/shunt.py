@@ -115,9 +115,9 @@ class ShuntController(Block[ShuntControllerParams]):
         command = (p.network.shunt_sigma, angle, locked.omega)
         return State(locked, magnitude, reactive, voltage, current, command), {"shunt": command}
 
-    def _limited(self, x: float, limit: float, what: str, unit: str, wanted: str) -> float:
-        text = f"{what.replace('_', ' ')} at its limit of {limit:g} {unit} while {wanted}"
-        self.report(Level.WARN, f"{what}_limited", text)
+    def _limited(self, x: float, limit: float, quantity: str, unit: str, wanted: str) -> float:
+        text = f"{quantity.replace('_', ' ')} at its limit of {limit:g} {unit} while {wanted}"
+        self.report(Level.WARN, f"{quantity}_limited", text)
         return math.copysign(limit, x)
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:

@@ -80,8 +80,8 @@ class Phasors:
         i[SOURCE_A], i[SOURCE_B] = self._y_source * (e_a - u[A]), self._y_source * (e_b - u[B])
         i[I12], i[I34] = j12 + self._y_se * (u[1] - u[2]), j34 + self._y_se * (u[3] - u[4])
         i[I_SH] = j_sh - self._y_sh * u[1]
-        at = {name: k for k, name in enumerate(BUSES)}
-        line = dense.product(np.array([u[[at[k], at[m]]] for k, m in HALVES]), self._half.T)
+        index = {name: k for k, name in enumerate(BUSES)}
+        line = dense.product(np.array([u[[index[k], index[m]]] for k, m in HALVES]), self._half.T)
         return u, i, line
 
 
@@ -144,9 +144,9 @@ def start(
             e = (circuit.source_a, circuit.source_b) if n == 1 else (0j, 0j)
             results.append(np.concatenate([np.ravel(x) for x in (*network[n](*e, spectrum[n]), spectrum[n])]))
         speeds = turn * np.array(signed)
-        whole = dense.product(dense.turn(np.outer(k, speeds)), np.array(results))
-        bus, current, mean = whole[:, :6], whole[:, 6:11], whole[:, 19:]
-        line = whole[:, 11:19].reshape(-1, 4, 2)
+        states = dense.product(dense.turn(np.outer(k, speeds)), np.array(results))
+        bus, current, mean = states[:, :6], states[:, 6:11], states[:, 19:]
+        line = states[:, 11:19].reshape(-1, 4, 2)
         if pulse == PULSE:
             i = np.array(results)[:, 6:11][:, [I_SH, I12, I34]]
             between = dense.times(0.5 * (1.0 + dense.turn(speeds))[:, None], i)
@@ -165,10 +165,10 @@ def start(
 def _state(lines: Lines, bus: Complex, current: Complex, line: Complex, v_dc: float) -> State:
     """Fill the rings of the half lines as `lines.bergeron.store` would have."""
     size = history_length(lines)
-    at = {name: k for k, name in enumerate(BUSES)}
+    index = {name: k for k, name in enumerate(BUSES)}
     ring = np.zeros((4, 2, size), dtype=complex)
     for age in range(size):
-        u = np.array([bus[-1 - age][[at[a], at[b]]] for a, b in HALVES])
+        u = np.array([bus[-1 - age][[index[a], index[b]]] for a, b in HALVES])
         leaving = u + lines.z_minus[:, None] * line[-1 - age]
         ring[:, :, -age % size] = lines.far[:, None] * leaving[:, ::-1] + lines.near[:, None] * leaving
     return State(ring, bus[-1].copy(), current[-1].copy(), np.array([v_dc]))

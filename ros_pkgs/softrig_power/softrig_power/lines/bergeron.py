@@ -56,9 +56,9 @@ def interpolation(delay: float) -> tuple[int, Array]:
     weights : ndarray, shape (4,)
         Of the samples of age newest, newest + 1, newest + 2, newest + 3.
     """
-    whole = int(delay)
-    s = delay - whole  # the value lies between the ages `whole` and `whole + 1`
-    return whole - 1, np.array(
+    steps = int(delay)
+    s = delay - steps  # the value lies between the ages `steps` and `whole + 1`
+    return steps - 1, np.array(
         [
             -s * (s - 1.0) * (s - 2.0) / 6.0,
             (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0,
@@ -96,7 +96,7 @@ def lines(sections: Sequence[Section], step: float) -> Lines:
         np.array([s.z_minus for s in sections]),
         -np.array([s.z for s in sections]) / z_plus**2,
         -0.25 * np.array([s.resistance for s in sections]) / z_plus**2,
-        np.array([whole for whole, _ in results], dtype=np.int64),
+        np.array([steps for steps, _ in results], dtype=np.int64),
         np.array([weights for _, weights in results]),
     )
 

@@ -54,13 +54,13 @@ def steady_state(p: ConverterParams, source: Characteristic, d: float) -> Circui
 class BuckBoostMatching:
     """The converter's ideal equation, which is all that a tracker may use of it: R = R_L (1 - d)^2 / d^2."""
 
-    def load(self, command: float, seen: float) -> float:
+    def load(self, command: float, resistance: float) -> float:
         """Return R_L in ohm from the duty and the resistance seen."""
-        return seen * (command / (1.0 - command)) ** 2
+        return resistance * (command / (1.0 - command)) ** 2
 
-    def command(self, seen: float, load: float) -> float:
+    def command(self, resistance: float, load: float) -> float:
         """Return the duty."""
-        return 1.0 / (1.0 + math.sqrt(seen / load))
+        return 1.0 / (1.0 + math.sqrt(resistance / load))
 
 
 class Converter:
@@ -111,10 +111,10 @@ def _slopes(v: float, i: float, o: float, line: Line, p: Any) -> tuple[float, fl
     """Return the derivatives; find a line of the characteristic only if the voltage has left the previous one."""
     a, b, low, scale, per_C, d_C, d_L, e_L, r_L, e_o, g_o = p
     k, at_0, slope = line
-    place = (v - low) * scale
+    position = (v - low) * scale
     # Between two stages the voltage mostly stays on its segment, so the line is looked up only where it leaves it.
-    if not k <= place < k + 1.0:
-        number = min(int(place), a.size - 1)
+    if not k <= position < k + 1.0:
+        number = min(int(position), a.size - 1)
         k, at_0, slope = float(number), a[number], b[number]
     dv = (at_0 + slope * v) * per_C - d_C * i
     return dv, d_L * v - e_L * o - r_L * i, e_o * i - g_o * o, (k, at_0, slope)

@@ -57,10 +57,10 @@ class Characteristic:
     @cached_property
     def _extrema(self) -> tuple[list[Peak], list[Peak]]:
         p = self.v * self.i
-        inside = (self.v[1:-1] > 0.0) & (self.i[1:-1] > 0.0)
+        generating = (self.v[1:-1] > 0.0) & (self.i[1:-1] > 0.0)
         rise = np.diff(p)
-        tops = np.flatnonzero((rise[:-1] > 0.0) & (rise[1:] <= 0.0) & inside) + 1
-        dips = np.flatnonzero((rise[:-1] < 0.0) & (rise[1:] >= 0.0) & inside) + 1
+        tops = np.flatnonzero((rise[:-1] > 0.0) & (rise[1:] <= 0.0) & generating) + 1
+        dips = np.flatnonzero((rise[:-1] < 0.0) & (rise[1:] >= 0.0) & generating) + 1
         peaks, valleys = ([Peak(float(self.v[k]), float(self.i[k]), float(p[k])) for k in ks] for ks in (tops, dips))
         return peaks, valleys
 
@@ -158,8 +158,8 @@ def _voltage(
         U, dI = c.junction(i, None if junctions is None else junctions[k])
         if junctions is not None:
             junctions[k] = U
-        own = U - c.R_s * i
-        conducts = own < -V_f
-        v += np.where(conducts, -V_f, own)
+        unbypassed = U - c.R_s * i
+        conducts = unbypassed < -V_f
+        v += np.where(conducts, -V_f, unbypassed)
         slope += np.where(conducts, 0.0, 1.0 / dI - c.R_s)
     return v, slope

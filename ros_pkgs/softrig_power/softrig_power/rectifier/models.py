@@ -57,7 +57,7 @@ def d2(p: RectifierConstants, period: float) -> Carima:
     rate = 1.5 / (p.C * p.v_ref)
     direct, derivative = rate * (p.V_g - 2.0 * p.R * p.current), -rate * p.L * p.current
     e = math.exp(-decay * period)
-    whole = -math.expm1(-decay * period) / decay  # integral of exp(-decay s) over the period
-    rising = (1.0 - whole / period) / decay  # of s/T exp(-decay (T - s))
-    slope = derivative * whole / period
-    return Carima((1.0, -e), (direct * rising + slope, direct * (whole - rising) - slope))
+    integral = -math.expm1(-decay * period) / decay  # integral of exp(-decay s) over the period
+    rising = (1.0 - integral / period) / decay  # of s/T exp(-decay (T - s))
+    slope = derivative * integral / period
+    return Carima((1.0, -e), (direct * rising + slope, direct * (integral - rising) - slope))

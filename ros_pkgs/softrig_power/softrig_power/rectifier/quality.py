@@ -61,11 +61,11 @@ def empty() -> Array:
     return sums
 
 
-def opened(kept: bytes) -> Array:
+def opened(stored: bytes) -> Array:
     """Create sums from stored ones, to add to."""
     import numpy as np
 
-    return np.frombuffer(kept).reshape(ROWS, HARMONICS + 1).copy()
+    return np.frombuffer(stored).reshape(ROWS, HARMONICS + 1).copy()
 
 
 @jit
@@ -194,9 +194,9 @@ def measure(sums: Array, values: Array) -> None:
         more += squares_of(sums, k, share)
     square = rms = product = peaks = 0.0
     for phase in range(3):
-        own = plain[CURRENT_SQUARE + phase] / duration
-        square += own
-        rms += math.sqrt(own * plain[GRID_SQUARE + phase] / duration)
+        mean_square = plain[CURRENT_SQUARE + phase] / duration
+        square += mean_square
+        rms += math.sqrt(mean_square * plain[GRID_SQUARE + phase] / duration)
         a, b = sums[CURRENT_COS + phase, 1], sums[CURRENT_SIN + phase, 1]
         if phase == 2:
             a, b = -sums[CURRENT_COS, 1] - sums[CURRENT_COS + 1, 1], -sums[CURRENT_SIN, 1] - sums[CURRENT_SIN + 1, 1]

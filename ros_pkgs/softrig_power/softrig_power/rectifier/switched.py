@@ -157,8 +157,8 @@ def crossing(
     """
     p = (circuit, period, legs[0], legs[1], legs[2])
     angle = circuit.omega * t
-    here = math.sin(angle), math.cos(angle)
-    g = grid_of(angle, here[0], here[1], period)
+    sin_cos = math.sin(angle), math.cos(angle)
+    g = grid_of(angle, sin_cos[0], sin_cos[1], period)
     slope = slopes(x[0], x[1], x[2], x[3], g, p)
     bend = (legs[0] * slope[0] + legs[1] * slope[1] + legs[2] * slope[2] - slope[3] / period.load) / circuit.C
     v, rate = x[3], slope[3]
@@ -189,7 +189,7 @@ def crossing(
         if tau < t:
             tau = t
     if tau > t:
-        piece(t, tau, x, slope, p, here, g, sums)
+        piece(t, tau, x, slope, p, sin_cos, g, sums)
     return tau, leg
 
 
@@ -200,13 +200,13 @@ def piece(
     x: Array,
     first: tuple[float, float, float, float],
     p: Legs,
-    here: tuple[float, float],
+    sin_cos: tuple[float, float],
     g: Three,
     sums: Array,
 ) -> None:
     """Integrate one step between two edges, and add to the sums by Simpson's rule (middle from values and slopes).
 
-    The step is that of Runge-Kutta, as `rk4_loop` takes it; `first`, `here` and `g` are slopes, sine and cosine of
+    The step is that of Runge-Kutta, as `rk4_loop` takes it; `first`, `sin_cos` and `g` are slopes, sine and cosine of
     omega t, and grid voltages at t.
     """
     circuit, period = p[0], p[1]
@@ -234,7 +234,7 @@ def piece(
         0.5 * (c + j_1) + e * (first[2] - last[2]),
         0.5 * (v + v_1) + e * (first[3] - last[3]),
     )
-    sample(sums, here[0], here[1], sums[PLAIN, PENDING] + w, (a, b, c, v), g)
+    sample(sums, sin_cos[0], sin_cos[1], sums[PLAIN, PENDING] + w, (a, b, c, v), g)
     sample(sums, s_1, c_1, 4.0 * w, middle, between)
     # The end of this piece is the begin of the next one, which adds its weight to this.
     sums[PLAIN, PENDING] = w

@@ -53,11 +53,11 @@ class ArmController(Block[ArmControllerParams]):
     @classmethod
     def ports(cls, params: ArmControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Joint states and a trajectory in, one torque a joint out."""
-        of, joints = params.units(), params.joints
-        motion = {"position": of.position, "velocity": of.velocity}
+        units, joints = params.units(), params.joints
+        motion = {"position": units.position, "velocity": units.velocity}
         states = joint_state("joint_states", "joint_states", joints, **motion)
-        wanted = reference("reference", "reference", joints, **motion, acceleration=of.acceleration)
-        return (states, wanted), (command("joint_torques", "joint_torques", joints, of.effort),)
+        wanted = reference("reference", "reference", joints, **motion, acceleration=units.acceleration)
+        return (states, wanted), (command("joint_torques", "joint_torques", joints, units.effort),)
 
     def setup(self) -> None:
         """Compile the model, spread the gains."""

@@ -47,11 +47,16 @@ class ArmPlant(Plant[ArmPlantParams]):
     @classmethod
     def ports(cls, params: ArmPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Declare one torque per joint, and a force on the tool in the base frame."""
-        of, joints = params.units(), params.joints
+        units, joints = params.units(), params.joints
         states = joint_state(
-            "joint_states", "joint_states", joints, position=of.position, velocity=of.velocity, effort=of.effort
+            "joint_states",
+            "joint_states",
+            joints,
+            position=units.position,
+            velocity=units.velocity,
+            effort=units.effort,
         )
-        return (command("joint_torques", "joint_torques", joints, of.effort), FORCE), (states,)
+        return (command("joint_torques", "joint_torques", joints, units.effort), FORCE), (states,)
 
     @classmethod
     def scene(cls, params: ArmPlantParams) -> Scene:

@@ -81,8 +81,8 @@ class VcsController(Block[VcsControllerParams]):
     def ports(cls, params: VcsControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Declare one motor per joint."""
         joints = params.joints
-        kinds = {"e": "rad", "s": "rad/s", "sigma": "rad/s^2", "fhat": "V/s"}
-        state = {f"{kind}{i + 1}": unit for kind, unit in kinds.items() for i in range(len(joints))}
+        units = {"e": "rad", "s": "rad/s", "sigma": "rad/s^2", "fhat": "V/s"}
+        state = {f"{name}{i + 1}": unit for name, unit in units.items() for i in range(len(joints))}
         return (
             joint_state("joint_states", "joint_states", joints, position="rad", velocity="rad/s"),
             reference("reference", "reference", joints, position="rad", velocity="rad/s", acceleration="rad/s^2"),
@@ -102,7 +102,7 @@ class VcsController(Block[VcsControllerParams]):
 
     def go_on(self, x: State, before: VcsControllerParams) -> State:
         """Continue with other gains; the docstring of each control law describes how its state continues."""
-        return State(tuple(law.go_on(own) for law, own in zip(self.laws, x.laws, strict=True)))
+        return State(tuple(law.go_on(inner) for law, inner in zip(self.laws, x.laws, strict=True)))
 
     def update(
         self, x: State, t: int, *, joint_states: Vector, reference: Vector
@@ -112,9 +112,14 @@ class VcsController(Block[VcsControllerParams]):
         e = [reference[i] - joint_states[i] for i in range(n)]
         rate = [reference[i] - joint_states[i] for i in range(n, 2 * n)]
         results = [
-            law(own, reference[2 * n + i], e[i], rate[i])
-            for i, (law, own) in enumerate(zip(self.laws, x.laws, strict=True))
+            law(inner, reference[2 * n + i], e[i], rate[i])
+            for i, (law, inner) in enumerate(zip(self.laws, x.laws, strict=True))
         ]
         laws, voltages = zip(*results, strict=True)
-        state = (*e, *[own.s for own in laws], *[own.sigma for own in laws], *[own.f_hat for own in laws])
+        state = (
+            *e,
+            *[inner.s for inner in laws],
+            *[inner.sigma for inner in laws],
+            *[inner.f_hat for inner in laws],
+        )
         return State(laws), {"motor_command": voltages, "controller_state": state}

@@ -100,17 +100,17 @@ class ManipulatorParams(DrivenRobotParams):
         ValueError
             The value of a mimic joint contradicts its constraint.
         """
-        given: Vector = getattr(self, name)
-        values = list(spread(name, given, len(self.joints)))
+        configured: Vector = getattr(self, name)
+        values = list(spread(name, configured, len(self.joints)))
         if not self.urdf:
             return tuple(values)
         from ..rigid_body import ties
 
         for follower, leader, multiplier, offset in ties(read_urdf(self.urdf), self.joints):
             wanted = multiplier * values[leader] + (offset if name == "position" else 0.0)
-            if len(given) > 1 and abs(values[follower] - wanted) > 1e-9 * max(1.0, abs(wanted)):
+            if len(configured) > 1 and abs(values[follower] - wanted) > 1e-9 * max(1.0, abs(wanted)):
                 raise ValueError(
-                    f"{name} = {list(given)}: {self.joints[follower]} mimics {self.joints[leader]} and begins at "
+                    f"{name} = {list(configured)}: {self.joints[follower]} mimics {self.joints[leader]} and begins at "
                     f"{wanted:g}; give that, or one value for all joints that follow no other"
                 )
             values[follower] = wanted

@@ -28,8 +28,8 @@ class TrajectoryParams(BlockParams):
     def _fits(self) -> Self:
         self.goal.require(len(self.joints))
         spread("amplitude", self.amplitude, len(self.joints))
-        if other := [name for name in self.linear if name not in self.joints]:
-            raise ValueError(f"linear: {', '.join(other)}: no such joint; expected some of {', '.join(self.joints)}")
+        if unknown := [name for name in self.linear if name not in self.joints]:
+            raise ValueError(f"linear: {', '.join(unknown)}: no such joint; expected some of {', '.join(self.joints)}")
         return self
 
 
@@ -39,8 +39,8 @@ class TrajectorySource(Block[TrajectoryParams]):
     @classmethod
     def ports(cls, params: TrajectoryParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Declare one output and no input."""
-        of = joint_units(params.joints, params.linear)
-        motion = {"position": of.position, "velocity": of.velocity, "acceleration": of.acceleration}
+        units = joint_units(params.joints, params.linear)
+        motion = {"position": units.position, "velocity": units.velocity, "acceleration": units.acceleration}
         return (), (reference("reference", "reference", params.joints, **motion),)
 
     def setup(self) -> None:

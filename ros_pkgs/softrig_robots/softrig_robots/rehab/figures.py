@@ -22,8 +22,8 @@ def repeatability(first: SignalMap, second: SignalMap, signal: str) -> float:
         Both squares are integrals over time; 0 when the runs are equal.
     """
     t, e, gaps = held(first, signal)
-    when, other = second[signal]
-    at = newest(when, t + HALF_NS)
-    if at[0] < 0:
+    when, e_second = second[signal]
+    indices = newest(when, t + HALF_NS)
+    if indices[0] < 0:
         raise ValueError(f"{signal} of the second run has no value yet at {t[0]:g} s")
-    return mean_over((e - other[at]) ** 2, gaps) / mean_over(e**2, gaps)
+    return mean_over((e - e_second[indices]) ** 2, gaps) / mean_over(e**2, gaps)

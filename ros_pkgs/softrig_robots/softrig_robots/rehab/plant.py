@@ -237,13 +237,13 @@ class RehabPlant(DrivenRobot[RehabParams]):
         """Return which joints have been inside their range, and whether one is where or as fast as it must not be."""
         safe = x.safe
         started = live is not None and t >= live + self._startup
-        inside = [low <= q <= high for low, q, high in zip(self._low, x.q, self._high, strict=True)]
-        entered = tuple(now or once for now, once in zip(inside, x.entered, strict=True))
+        in_range = [low <= q <= high for low, q, high in zip(self._low, x.q, self._high, strict=True)]
+        entered = tuple(now or once for now, once in zip(in_range, x.entered, strict=True))
         for i, joint in enumerate(JOINTS):
-            out = not inside[i] and entered[i]
-            if not safe and (out or (started and abs(x.v[i]) > self.p.rom_speed)):
+            left_range = not in_range[i] and entered[i]
+            if not safe and (left_range or (started and abs(x.v[i]) > self.p.rom_speed)):
                 reason = f"{joint} at {x.v[i]:.4g} rad/s, limit {self.p.rom_speed:.4g} rad/s"
-                if out:
+                if left_range:
                     reason = f"{joint} at {x.q[i]:.4g} rad, range {self._low[i]:.4g} to {self._high[i]:.4g} rad"
                 safe = True
                 self.report(Level.ERROR, "safe", f"SAFE from t = {to_s(t):.9g} s, motors at 0 V: {reason}")

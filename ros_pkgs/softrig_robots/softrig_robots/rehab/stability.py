@@ -167,11 +167,11 @@ def _radius(
     """Spectral radius of the loop; its state is (q, q', I) and the last voltages."""
     gain = np.diag(alpha_hat)
     C = -np.hstack([gain * lam, gain, np.zeros((2, 2))])  # V_k - V_(k-1) from the state
-    one, zero = np.eye(2), np.zeros((2, 2))
+    identity, zero = np.eye(2), np.zeros((2, 2))
     if not delayed:
-        loop = np.block([[A + B @ C, B], [C, one]])
+        loop = np.block([[A + B @ C, B], [C, identity]])
     elif not applied:
-        loop = np.block([[A, B], [C, one]])
+        loop = np.block([[A, B], [C, identity]])
     else:
-        loop = np.block([[A, B, np.zeros((6, 2))], [C, zero, one], [np.zeros((2, 6)), one, zero]])
+        loop = np.block([[A, B, np.zeros((6, 2))], [C, zero, identity], [np.zeros((2, 6)), identity, zero]])
     return float(np.abs(np.linalg.eigvals(loop)).max())

@@ -66,11 +66,11 @@ class Spacecraft(Drawing):
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
         """Box, axes, momentum with its path, values."""
         camera = self.camera
-        places = [camera((x * self.half[0], y * self.half[1], z * self.half[2])) for x, y, z in CORNERS]
+        corners = [camera((x * self.half[0], y * self.half[1], z * self.half[2])) for x, y, z in CORNERS]
         for face in ((1, 3, 7, 5), (4, 5, 7, 6), (0, 1, 5, 4)):  # top, and the two that are seen
-            pen.polygon([places[k] for k in face], "muted", "faint", 1.2)
+            pen.polygon([corners[k] for k in face], "muted", "faint", 1.2)
         for a, b in EDGES:
-            pen.line([places[a], places[b]], "muted", 1.0)
+            pen.line([corners[a], corners[b]], "muted", 1.0)
         for k, (name, role) in enumerate(self.AXES):
             unit: Place = (float(k == 0), float(k == 1), float(k == 2))
             end = camera((1.5 * unit[0], 1.5 * unit[1], 1.5 * unit[2]))

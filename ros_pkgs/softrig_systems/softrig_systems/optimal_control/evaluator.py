@@ -86,8 +86,8 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         """Channels of the problem; the plan may be missing."""
         problem = params.statement()
         columns = params.order + 1 if params.form == "power" else params.samples
-        seen = (plan(problem, columns, stages=params.stages, label=params.form), summary())
-        inputs = (state(problem), control(problem), *(replace(port, held=True) for port in seen))
+        planned = (plan(problem, columns, stages=params.stages, label=params.form), summary())
+        inputs = (state(problem), control(problem), *(replace(port, held=True) for port in planned))
         return inputs, (scalars("evaluation", "ocp/evaluation", dict.fromkeys(FIGURES, "")),)
 
     def setup(self) -> None:
@@ -116,24 +116,24 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         summary: tuple[float, ...] | None,
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Process one sample."""
-        now, at = to_s(t), np.array(state[: self._n])
+        now, point = to_s(t), np.array(state[: self._n])
         figures, begin, newest = x
         if begin is None:
             begin = t
-            if tuple(at) != self._problem.x0:
-                figures = figures._replace(J_exact=least_cost(self._problem.changed(x0=tuple(at))))
+            if tuple(point) != self._problem.x0:
+                figures = figures._replace(J_exact=least_cost(self._problem.changed(x0=tuple(point))))
         together = self.age("plan") == self.age("summary")
         if plan is not None and summary is not None and together and summary != newest.summary:
             figures, newest = self._updated(figures, newest, plan, summary)
         J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible = figures
         if newest.states is not None and now <= newest.start + newest.horizon + 1e-9:
-            distance = max(distance, float(np.max(np.abs(at - self._planned(newest, now)))))
+            distance = max(distance, float(np.max(np.abs(point - self._planned(newest, now)))))
         left = self._problem.horizon - (now - to_s(begin))
         if left > -1e-9 and self._problem.x_end is not None:
-            missed = at - np.array(self._problem.x_end)
+            missed = point - np.array(self._problem.x_end)
             end_error, end_error_max = dense.norm(missed), float(np.max(np.abs(missed)))
         if left > 1e-9:
-            *_, paid = self._step((*at, *command, min(self.p.period, left)))
+            *_, paid = self._step((*point, *command, min(self.p.period, left)))
             J_plant = J_plant + (paid if math.isfinite(paid) else 0.0)
         figures = Figures(J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible)
         return State(figures, begin, newest), {"evaluation": tuple(figures)}
@@ -155,8 +155,8 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         if before.states is not None:
             return figures, newest
         figures = figures._replace(J_series=about["J_series"])
-        whole = abs(newest.horizon - self._problem.horizon) < 1e-9  # not of what is left after a late start
-        below = whole and figures.J_series < figures.J_exact - MARGIN * abs(figures.J_exact)
+        full_horizon = abs(newest.horizon - self._problem.horizon) < 1e-9  # not of what is left after a late start
+        below = full_horizon and figures.J_series < figures.J_exact - MARGIN * abs(figures.J_exact)
         if below or figures.residual >= self.p.eps_res:
             figures = figures._replace(infeasible=1.0)
             text = f"J = {figures.J_series:.10g}, least {figures.J_exact:.10g}, residual {figures.residual:.3g}"

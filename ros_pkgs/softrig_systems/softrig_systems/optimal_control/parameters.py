@@ -30,8 +30,8 @@ class ProblemParams(BlockParams):
     def plant_agreed(self) -> dict[str, Any]:
         """Return the quantities on which a plant and the nodes that judge it must agree."""
         problem = self.statement()
-        own = {"ocp/problem": problem.name, "ocp/x0": tuple(problem.x0)}
-        return own | ({"ocp/inertia": self.inertia} if problem.name == "spacecraft" else {})
+        quantities = {"ocp/problem": problem.name, "ocp/x0": tuple(problem.x0)}
+        return quantities | ({"ocp/inertia": self.inertia} if problem.name == "spacecraft" else {})
 
     def task_agreed(self) -> dict[str, Any]:
         """Return the quantities on which the planner and the nodes that judge a plan must agree."""

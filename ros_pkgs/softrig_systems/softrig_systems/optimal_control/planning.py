@@ -102,7 +102,7 @@ class Planner(Solver[P]):
         problem = params.statement()
         stages, columns = cls.shape(params)
         inputs = (state(problem), button("replan", "ocp/replan", held=True))
-        return inputs, (plan(problem, columns, stages=stages, label=cls.LABEL, out=True), summary(out=True))
+        return inputs, (plan(problem, columns, stages=stages, label=cls.LABEL, output=True), summary(output=True))
 
     def setup(self) -> None:
         """Size and horizon of the problem."""

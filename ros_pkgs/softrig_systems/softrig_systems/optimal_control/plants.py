@@ -72,8 +72,8 @@ class OcpPlant(Plant[P]):
     def setup(self) -> None:
         """Compile the step once: it does not depend on live parameters."""
         problem = self.p.statement()
-        made = self.__dict__.get("_step")
-        self._step = step_function("ocp_step", problem, self.p.substeps) if made is None else made
+        cached = self.__dict__.get("_step")
+        self._step = step_function("ocp_step", problem, self.p.substeps) if cached is None else cached
         self._n, self._zero_control, self._x0 = len(problem.states), (0.0,) * len(problem.controls), problem.x0
         self._reports_applied = problem.carrier == "velocity"
         self._state = state_type(("", (*problem.states, *(("applied",) if self._reports_applied else ()))))

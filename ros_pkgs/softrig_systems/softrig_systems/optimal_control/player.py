@@ -72,9 +72,9 @@ class OcpPlayer(Block[PlayerParams]):
     def ports(cls, params: PlayerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Channels of the problem."""
         problem = params.statement()
-        given = plan(problem, params.columns, stages=params.stages, label=params.form)
+        plan_port = plan(problem, params.columns, stages=params.stages, label=params.form)
         progress = scalars("progress", "ocp/progress", {"elapsed": "s", "remaining": "s"})
-        return (state(problem), given, summary()), (control(problem), progress)
+        return (state(problem), plan_port, summary()), (control(problem), progress)
 
     def setup(self) -> None:
         """Sizes."""

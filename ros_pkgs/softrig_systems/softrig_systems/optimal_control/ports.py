@@ -36,13 +36,13 @@ def control(problem: Problem) -> Port:
     return command("command", "ocp/command", tuple(problem.controls), tuple(problem.controls.values()))
 
 
-def plan(problem: Problem, columns: int, *, stages: int = 1, label: str = "power", out: bool = False) -> Port:
+def plan(problem: Problem, columns: int, *, stages: int = 1, label: str = "power", output: bool = False) -> Port:
     """Return the port of a plan: rows are states, costates and controls; a leading dimension where there are stages."""
     rows = 2 * len(problem.states) + len(problem.controls)
     dims = {"stage": stages} if stages > 1 else {}
-    return array("plan", "ocp/plan", {**dims, "variable": rows, label: columns}, "", sporadic=out)
+    return array("plan", "ocp/plan", {**dims, "variable": rows, label: columns}, "", sporadic=output)
 
 
-def summary(*, out: bool = False) -> Port:
+def summary(*, output: bool = False) -> Port:
     """Return the port of a plan's summary."""
-    return scalars("summary", "ocp/summary", SUMMARY, sporadic=out)
+    return scalars("summary", "ocp/summary", SUMMARY, sporadic=output)

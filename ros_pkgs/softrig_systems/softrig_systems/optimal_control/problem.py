@@ -85,24 +85,24 @@ class Problem:
         ProblemError
             Wrong numbers; the text begins with the name.
         """
-        made = self
+        result = self
         if x0 is not None:
-            made = replace(made, x0=self._state("x0", x0))
+            result = replace(result, x0=self._state("x0", x0))
         if x_end is not None:
-            made = replace(made, x_end=self._state("x_end", x_end))
+            result = replace(result, x_end=self._state("x_end", x_end))
         if horizon is not None:
             if not 0.0 < horizon < np.inf:
                 raise ProblemError(f"horizon = {horizon:g} s: expected a positive time")
-            made = replace(made, horizon=float(horizon))
+            result = replace(result, horizon=float(horizon))
         if len(R):
-            made = replace(made, R=tuple(map(float, R)))
-            made.weight()
-        return made
+            result = replace(result, R=tuple(map(float, R)))
+            result.weight()
+        return result
 
-    def _state(self, name: str, given: Sequence[float]) -> tuple[float, ...]:
-        if len(given) != len(self.states) or not all(np.isfinite(given)):
-            raise ProblemError(f"{name} = {tuple(given)}: expected {len(self.states)} finite numbers")
-        return tuple(map(float, given))
+    def _state(self, name: str, values: Sequence[float]) -> tuple[float, ...]:
+        if len(values) != len(self.states) or not all(np.isfinite(values)):
+            raise ProblemError(f"{name} = {tuple(values)}: expected {len(self.states)} finite numbers")
+        return tuple(map(float, values))
 
     def weight(self) -> NDArray[np.float64]:
         """Return R as a matrix, shape (m, m); a ProblemError if it is invalid or not positive definite."""

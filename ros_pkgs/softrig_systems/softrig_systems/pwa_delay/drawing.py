@@ -31,14 +31,14 @@ class Tank(Drawing):
         rows = [*past, row]
         wide = 328.0 / self.CELLS
         for k in range(self.CELLS):  # what was commanded a delay ago comes out at the right
-            then = rows[max(0, len(rows) - 1 - round(k / (self.CELLS - 1) * (len(rows) - 1)))]
-            share = held(self.inflow(then) / self.flow, 1.0)
+            earlier = rows[max(0, len(rows) - 1 - round(k / (self.CELLS - 1) * (len(rows) - 1)))]
+            share = held(self.inflow(earlier) / self.flow, 1.0)
             pen.box(31.0 + wide * k, 75.0, wide - 1.0, -24.0 * max(share, 0.0), "accent", "accent", 0)
             pen.box(31.0 + wide * k, 51.0, wide - 1.0, 24.0 * max(-share, 0.0), "alarm", "alarm", 0)  # taken away
-        out = max(held(self.inflow(rows[0]) / self.flow, 1.0), 0.0)
+        outflow = max(held(self.inflow(rows[0]) / self.flow, 1.0), 0.0)
         pen.text((30.0, 40.0), f"pipe, {self.delay.text_of(row, '.2f')} long", "muted")
         filled = min(max(self.level(row) / self.full, 0.0), 1.05)
-        pen.box(360.0, 63.0, 10.0 * out, 255.0 - 200.0 * filled, "accent", "accent", 0)
+        pen.box(360.0, 63.0, 10.0 * outflow, 255.0 - 200.0 * filled, "accent", "accent", 0)
         pen.box(240.0, 318.0, 170.0, -200.0 * filled, "accent", "accent", 0)
         pen.line([(240.0, 100.0), (240.0, 320.0), (410.0, 320.0), (410.0, 100.0)], "line", 3.0)
         y = 318.0 - 200.0 * self.switch / self.full

@@ -48,13 +48,13 @@ class SystemParams(Params):
 
     def agreed(self) -> dict[str, Any]:
         """Return the quantities on which all nodes that use this system must agree."""
-        own = {"pwa/system": self.system}
+        quantities = {"pwa/system": self.system}
         if self.system == "pendulum":
             gains = {"pendulum/k_negative": self.k_negative, "pendulum/k_positive": self.k_positive}
-            return {**own, **gains, "pendulum/model": "pwa"}
+            return {**quantities, **gains, "pendulum/model": "pwa"}
         if self.system != "user":
-            return own
-        return own | {
+            return quantities
+        return quantities | {
             f"pwa/{name}": getattr(self, name) for name in ("n", "A", "Ad", "lines", "lines_delayed", "offsets")
         }
 
@@ -82,7 +82,7 @@ def _build(
         return linear(*BENCHMARK)
     if name == "scalar":
         return linear(0.0, -1.0)
-    for what, values, unit in (
+    for label, values, unit in (
         ("A", A, n * n),
         ("Ad", Ad, n * n),
         ("lines", lines, n),
@@ -90,7 +90,7 @@ def _build(
         ("offsets", offsets, n),
     ):
         if len(values) % unit:
-            raise ValueError(f"{what} has {len(values)} values, expected a multiple of {unit} for {n} states")
+            raise ValueError(f"{label} has {len(values)} values, expected a multiple of {unit} for {n} states")
 
     def rows(values: tuple[float, ...]) -> list[tuple[float, ...]]:
         return [values[k : k + n] for k in range(0, len(values), n)]

@@ -89,14 +89,14 @@ class DelayPlant(Plant[P]):
         """Return state, cell and delay at t."""
         now, past = x.k * self.p.period, self._unread if x.past is None else x.past
         cell = int(type(self).cell_of(now, np.array(x[: self._size]), past.open(), x.delay.constants))
-        seen = {self.SHOWN: x[: self._size]}
-        return {**seen, "mode": (float(cell), float(delay_at(x.delay.profile, now)))}
+        shown = {self.SHOWN: x[: self._size]}
+        return {**shown, "mode": (float(cell), float(delay_at(x.delay.profile, now)))}
 
-    def move(self, x: Any, *held: float) -> Any:
+    def move(self, x: Any, *inputs: float) -> Any:
         """Advance over one period with the inputs held."""
         size, p = self._size, x.delay.constants
         past = (self._unread if x.past is None else x.past).open(self._rows)
-        now = np.array((*x[:size], *held))
+        now = np.array((*x[:size], *inputs))
         p.cell[0] = x.cell
         type(self).loop(past, x.k * self.p.period, now, self._h, self._steps, p, self._nothing)
         after = None if x.past is None else x.past.after(past)

@@ -71,8 +71,8 @@ class Delay:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Delay):
             return NotImplemented
-        mine, theirs = self.profile, other.profile
-        return mine[:3] == theirs[:3] and mine.changes.tolist() == theirs.changes.tolist()
+        a, b = self.profile, other.profile
+        return a[:3] == b[:3] and a.changes.tolist() == b.changes.tolist()
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -104,10 +104,10 @@ class PwaSystem:
                 "F": (self.F[0].shape[0], 2 * n),
             }
             for name, shape in wanted.items():
-                given = getattr(self, name)[i]
-                if given.shape != shape:
-                    raise BadSystem(f"{name} of cell {i} has the shape {given.shape}, expected {shape}")
-                if not np.all(np.isfinite(given)):
+                matrix = getattr(self, name)[i]
+                if matrix.shape != shape:
+                    raise BadSystem(f"{name} of cell {i} has the shape {matrix.shape}, expected {shape}")
+                if not np.all(np.isfinite(matrix)):
                     raise BadSystem(f"{name} of cell {i} is not finite")
 
     def _check_cover(self) -> None:
@@ -119,13 +119,13 @@ class PwaSystem:
                 for E, e in zip(self.E, self.e, strict=True)
             ]
         )
-        inside, near = least > 1e-12, least >= -1e-12
-        for k in np.flatnonzero(~near.any(axis=0) | (inside.sum(axis=0) > 1))[:1]:
-            where = f"x = {np.round(points[k, : self.n], 3)}, x_d = {np.round(points[k, self.n :], 3)}"
+        interior, near = least > 1e-12, least >= -1e-12
+        for k in np.flatnonzero(~near.any(axis=0) | (interior.sum(axis=0) > 1))[:1]:
+            point = f"x = {np.round(points[k, : self.n], 3)}, x_d = {np.round(points[k, self.n :], 3)}"
             if not near[:, k].any():
-                raise BadSystem(f"no cell holds {where}: the cells leave a gap")
-            one, other = np.flatnonzero(inside[:, k])[:2]
-            raise BadSystem(f"cells {one} and {other} overlap at {where}")
+                raise BadSystem(f"no cell holds {point}: the cells leave a gap")
+            first, second = np.flatnonzero(interior[:, k])[:2]
+            raise BadSystem(f"cells {first} and {second} overlap at {point}")
 
     def faces(self) -> list[tuple[int, int, int]]:
         """Return the common faces as (cell, row, other cell): the row of E that is an equality there."""
@@ -133,11 +133,11 @@ class PwaSystem:
         rng = np.random.default_rng(2)
         for i in range(self.cells):
             for row in range(self.E[i].shape[0]):
-                seen = set()
+                near = set()
                 for z in self.on_face(i, row, rng, 20):
                     beyond = z - 1e-6 * self.E[i][row] / np.linalg.norm(self.E[i][row])
-                    seen |= {j for j in range(self.cells) if j != i and np.all(self.E[j] @ beyond + self.e[j] >= 0.0)}
-                result += [(i, row, j) for j in sorted(seen)]
+                    near |= {j for j in range(self.cells) if j != i and np.all(self.E[j] @ beyond + self.e[j] >= 0.0)}
+                result += [(i, row, j) for j in sorted(near)]
         return result
 
     def on_face(self, i: int, row: int, rng: np.random.Generator, count: int) -> list[Array]:

@@ -155,9 +155,9 @@ def evaluate(
     counts[0] = count + 1
     back = round(delay / p.period)
     # Before the record is that long, the oldest sample stands for the time before it.
-    held = min(count + 1, size)
-    then = rows[(count - min(back, held - 1)) % size]
-    cell = cell_of(p, now, then)
+    stored = min(count + 1, size)
+    delayed = rows[(count - min(back, stored - 1)) % size]
+    cell = cell_of(p, now, delayed)
     if cell < 0:
         raise ValueError("no cell holds the state")
     h = m * p.period
@@ -165,7 +165,7 @@ def evaluate(
         ahead, late = 0.0, 0.0
         for j in range(n):
             ahead += p.A[cell, i, j] * now[j]
-            late += p.Ad[cell, i, j] * then[j]
+            late += p.Ad[cell, i, j] * delayed[j]
         slopes[count % size, i] = h * (ahead + late)
     if min(count + 1, size) <= m + min(back, 3 * m):
         return 0.0, 0.0, 0.0, 0.0
@@ -179,19 +179,19 @@ def evaluate(
 
 
 @jit
-def cell_of(p: Fixed, now: Array, then: Array) -> int:
+def cell_of(p: Fixed, now: Array, delayed: Array) -> int:
     """Return the first cell that contains (x, x_d); -1: none does."""
     n = now.shape[0]
     for cell in range(p.E.shape[0]):
-        inside = True
+        contained = True
         for row in range(p.E.shape[1]):
             total = 0.0
             for j in range(n):
                 total += p.E[cell, row, j] * now[j]
             for j in range(n):
-                total += p.E[cell, row, n + j] * then[j]
-            inside = inside and total + p.e[cell, row] >= 0.0
-        if inside:
+                total += p.E[cell, row, n + j] * delayed[j]
+            contained = contained and total + p.e[cell, row] >= 0.0
+        if contained:
             return cell
     return -1
 

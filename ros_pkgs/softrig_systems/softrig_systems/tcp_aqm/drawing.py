@@ -49,9 +49,9 @@ class Bottleneck(Drawing):
         filled = held(self.queue(row) / self.full, 1.0)
         cell = self.WIDTH / CELLS
         for k in range(CELLS):  # the head of the queue is at the link
-            part = min(max(filled * CELLS - k, 0.0), 1.0)
+            fill = min(max(filled * CELLS - k, 0.0), 1.0)
             right = self.LEFT + self.WIDTH - cell * k - 1.0
-            pen.box(right, self.Y + 6, -(cell - 2.0) * part, self.HEIGHT - 12, "accent", "accent", 0)
+            pen.box(right, self.Y + 6, -(cell - 2.0) * fill, self.HEIGHT - 12, "accent", "accent", 0)
         x = self.LEFT + self.WIDTH * (1.0 - held(self.wanted(row) / self.full, 1.0))
         if self.wanted.name:
             pen.line([(x, self.Y - 12), (x, self.Y + self.HEIGHT + 12)], "reference", 2.0, dashed=True)

@@ -80,7 +80,7 @@ Four = tuple[float, float, float, float]
 
 @jit
 def stepped(
-    past: Trajectory, t: float, x: Four, h: float, steps: int, net: Four, given: Four
+    past: Trajectory, t: float, x: Four, h: float, steps: int, net: Four, limits: Four
 ) -> tuple[float, float, float]:
     """Return window, queue and packets served some steps after t (s).
 
@@ -88,17 +88,17 @@ def stepped(
     ----------
     x : (float, float, float, float)
         The state at t, see `slopes`.
-    net, given : (float, float, float, float)
+    net, limits : (float, float, float, float)
         N, C, tau_p and d; q_max, w_min, w_max and input_delay, see `Constants`.
     """
     N, C, tau_p, d = net
-    q_max, w_min, w_max, input_delay = given
+    q_max, w_min, w_max, input_delay = limits
     now = np.array(x)
     advance(past, t, now, h, steps, Constants(N, C, tau_p, q_max, w_min, w_max, d, input_delay))
     return float(now[WINDOW]), float(now[QUEUE]), float(now[SERVED])
 
 
 @jit
-def past_values(past: Trajectory, then: float) -> tuple[float, float]:
+def past_values(past: Trajectory, when: float) -> tuple[float, float]:
     """Return window and queue at a time, s."""
-    return delayed(past, then, WINDOW), delayed(past, then, QUEUE)
+    return delayed(past, when, WINDOW), delayed(past, when, QUEUE)

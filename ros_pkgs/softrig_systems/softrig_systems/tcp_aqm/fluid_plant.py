@@ -67,8 +67,8 @@ class TcpFluid(Network[TcpFluidParams]):
         k = step - self._change
         k = k if 0 <= k < self._steps else self._steps
         now = (step - k) * self._h + k * self._h  # rounded as `stepped` has come there
-        then = now - q / net.capacity - net.propagation
-        return Seen(w, q, served, *past_values(past.open(), then))
+        earlier = now - q / net.capacity - net.propagation
+        return Seen(w, q, served, *past_values(past.open(), earlier))
 
     def moved(self, x: State, steps: int, p: float) -> State:
         """Integrate."""

@@ -96,8 +96,10 @@ class Traffic:
         heap, size = Agenda._make([np.empty_like(a) for a in agenda]), counts[EVENTS]
         for new, old in zip(heap, agenda, strict=True):
             new[:size] = old[:size]
-        mine = [a.copy() for a in sources[:-1]]
-        return Inside(Sources._make([*mine, sources.spread]), heap, Fifo._make([a.copy() for a in fifo]), counts.copy())
+        copies = [a.copy() for a in sources[:-1]]
+        return Inside(
+            Sources._make([*copies, sources.spread]), heap, Fifo._make([a.copy() for a in fifo]), counts.copy()
+        )
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Traffic):
@@ -114,23 +116,23 @@ class Traffic:
 @jit
 def schedule(agenda: Agenda, counts: Ints, t: float, kind: int, flow: int, marked: int, sent: float) -> None:
     """Push an event onto the heap."""
-    place = counts[EVENTS]
-    counts[EVENTS] = place + 1
-    if place + 1 > counts[MOST_EVENTS]:
-        counts[MOST_EVENTS] = place + 1
-    while place > 0:
-        above = (place - 1) // 2
+    index = counts[EVENTS]
+    counts[EVENTS] = index + 1
+    if index + 1 > counts[MOST_EVENTS]:
+        counts[MOST_EVENTS] = index + 1
+    while index > 0:
+        above = (index - 1) // 2
         if agenda.time[above] <= t:
             break
-        agenda.time[place], agenda.kind[place], agenda.flow[place] = (
+        agenda.time[index], agenda.kind[index], agenda.flow[index] = (
             agenda.time[above],
             agenda.kind[above],
             agenda.flow[above],
         )
-        agenda.marked[place], agenda.sent[place] = agenda.marked[above], agenda.sent[above]
-        place = above
-    agenda.time[place], agenda.kind[place], agenda.flow[place] = t, kind, flow
-    agenda.marked[place], agenda.sent[place] = marked, sent
+        agenda.marked[index], agenda.sent[index] = agenda.marked[above], agenda.sent[above]
+        index = above
+    agenda.time[index], agenda.kind[index], agenda.flow[index] = t, kind, flow
+    agenda.marked[index], agenda.sent[index] = marked, sent
 
 
 @jit
@@ -139,24 +141,24 @@ def remove_first(agenda: Agenda, counts: Ints) -> None:
     size = counts[EVENTS] - 1
     counts[EVENTS] = size
     t = agenda.time[size]
-    place = 0
+    index = 0
     while True:
-        below = 2 * place + 1
+        below = 2 * index + 1
         if below >= size:
             break
         if below + 1 < size and agenda.time[below + 1] < agenda.time[below]:
             below += 1
         if agenda.time[below] >= t:
             break
-        agenda.time[place], agenda.kind[place], agenda.flow[place] = (
+        agenda.time[index], agenda.kind[index], agenda.flow[index] = (
             agenda.time[below],
             agenda.kind[below],
             agenda.flow[below],
         )
-        agenda.marked[place], agenda.sent[place] = agenda.marked[below], agenda.sent[below]
-        place = below
-    agenda.time[place], agenda.kind[place], agenda.flow[place] = t, agenda.kind[size], agenda.flow[size]
-    agenda.marked[place], agenda.sent[place] = agenda.marked[size], agenda.sent[size]
+        agenda.marked[index], agenda.sent[index] = agenda.marked[below], agenda.sent[below]
+        index = below
+    agenda.time[index], agenda.kind[index], agenda.flow[index] = t, agenda.kind[size], agenda.flow[size]
+    agenda.marked[index], agenda.sent[index] = agenda.marked[size], agenda.sent[size]
 
 
 @jit
@@ -167,8 +169,8 @@ def arrive(inside: Inside, now: float, flow: int, marked: int, C: float, room: i
     if waiting >= room:
         counts[LOST] += 1
         return False
-    place = (counts[HEAD] + waiting) % fifo.flow.size
-    fifo.flow[place], fifo.marked[place], fifo.sent[place] = flow, marked, now
+    tail = (counts[HEAD] + waiting) % fifo.flow.size
+    fifo.flow[tail], fifo.marked[tail], fifo.sent[tail] = flow, marked, now
     counts[WAITING] = waiting + 1
     if waiting == 0:
         schedule(agenda, counts, now + 1.0 / C, SERVICE, NOBODY, 0, 0.0)

@@ -85,8 +85,8 @@ class CurrentControl:
         share = most / size if size > most else 1.0
         v_d, v_q = share * u_d, share * u_q
         x = Integrals(x.d + self._i_d * (proportional[0] + v_d - u_d), x.q + self._i_q * (proportional[1] + v_q - u_q))
-        at = angle + speed * self._ahead
-        c, s = math.cos(at), math.sin(at)
+        angle_ahead = angle + speed * self._ahead
+        c, s = math.cos(angle_ahead), math.sin(angle_ahead)
         if u_dc <= 0.0:
             return x, (0.0, 0.0), (0.5, 0.5, 0.5)
         return x, (v_d, v_q), duties(c * v_d - s * v_q, s * v_d + c * v_q, u_dc, self._modulation)

@@ -84,8 +84,8 @@ def currents(
     i_d, i_q = mtpa(min(wanted, most), k, L_d, L_q, psi_f)
     psi_d, psi_q = psi_f + L_d * i_d, L_q * i_q
     if psi_d * psi_d + psi_q * psi_q <= psi_max * psi_max:
-        made = min(wanted, most)
-        return (i_d, i_q, made) if torque >= 0.0 else (i_d, -i_q, -made)
+        achieved = min(wanted, most)
+        return (i_d, i_q, achieved) if torque >= 0.0 else (i_d, -i_q, -achieved)
     # the voltage is the limit: on the ellipse, from c = 1 to MTPV or to the circle
     a, b = 1.0 / L_q - 1.0 / L_d, psi_f / L_d
     least = 0.0
@@ -101,13 +101,13 @@ def currents(
             return -i_max, 0.0, 0.0
         least = min(max((psi_f + L_d * i_d) / psi_max, -1.0), 1.0)
     most = k * psi_max * math.sqrt(1.0 - least * least) * (a * psi_max * least + b)
-    made = min(wanted, most)
+    achieved = min(wanted, most)
     low, high = least, 1.0
     for _ in range(HALVINGS):
         c = 0.5 * (low + high)
-        if k * psi_max * math.sqrt(1.0 - c * c) * (a * psi_max * c + b) >= made:
+        if k * psi_max * math.sqrt(1.0 - c * c) * (a * psi_max * c + b) >= achieved:
             low = c
         else:
             high = c
     i_d, i_q = (psi_max * low - psi_f) / L_d, psi_max * math.sqrt(1.0 - low * low) / L_q
-    return (i_d, i_q, made) if torque >= 0.0 else (i_d, -i_q, -made)
+    return (i_d, i_q, achieved) if torque >= 0.0 else (i_d, -i_q, -achieved)

@@ -69,8 +69,8 @@ class FocController(Block[FocControllerParams]):
     @classmethod
     def ports(cls, params: FocControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The reference is that of the mode."""
-        given = {"speed": SPEED_REF, "torque": TORQUE_REF, "current": CURRENT_REF}[params.mode]
-        return (CURRENTS, SHAFT_MEAS, DC_LINK, given), (DUTY, FOC)
+        reference = {"speed": SPEED_REF, "torque": TORQUE_REF, "current": CURRENT_REF}[params.mode]
+        return (CURRENTS, SHAFT_MEAS, DC_LINK, reference), (DUTY, FOC)
 
     @classmethod
     def agreed(cls, params: FocControllerParams) -> Mapping[str, Any]:

@@ -61,8 +61,8 @@ class ImFocController(Block[ImFocParams]):
     @classmethod
     def ports(cls, params: ImFocParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The reference is that of the mode."""
-        given = SPEED_REF if params.mode == "speed" else TORQUE_REF
-        return (CURRENTS, SHAFT_MEAS, DC_LINK, given), (DUTY, IM_FOC)
+        reference = SPEED_REF if params.mode == "speed" else TORQUE_REF
+        return (CURRENTS, SHAFT_MEAS, DC_LINK, reference), (DUTY, IM_FOC)
 
     @classmethod
     def agreed(cls, params: ImFocParams) -> Mapping[str, Any]:

@@ -59,7 +59,7 @@ class SpeedControl:
         torque = self._gain * (reference - speed) + x.integral - self._gain * speed
         return Speed(x.integral, reference), torque, min(max(torque, -self._most), self._most)
 
-    def closed(self, x: Speed, speed: float, wanted: float, made: float) -> Speed:
+    def closed(self, x: Speed, speed: float, wanted: float, achieved: float) -> Speed:
         """Return the state after the machine makes another torque than requested, N m."""
-        step = self._share * (self._gain * (x.reference - speed) + made - wanted)
+        step = self._share * (self._gain * (x.reference - speed) + achieved - wanted)
         return Speed(x.integral + step, x.reference)

@@ -29,12 +29,12 @@ CONSTANT = 5e-4  # electrical time constant where no inductance is given, s
 HALL = 300.0  # bandwidth of the speed estimate from Hall edges, rad/s
 
 
-def bldc(given: Mapping[str, float]) -> Drive:
+def bldc(rated: Mapping[str, float]) -> Drive:
     """Turn the values of a data sheet into a drive.
 
     Parameters
     ----------
-    given : mapping of str to float
+    rated : mapping of str to float
         By the names and in the units of `ASKED`. Voltage, speed, torque, current and pole pairs are needed.
 
     Returns
@@ -48,11 +48,11 @@ def bldc(given: Mapping[str, float]) -> Drive:
         A name that is not asked for, a value that is no number above zero, one that is missing, or values that
         contradict each other.
     """
-    check(given, ASKED, ("voltage", "speed", "torque", "current", "pole_pairs"), (("K_t", "K_v"),))
+    check(rated, ASKED, ("voltage", "speed", "torque", "current", "pole_pairs"), (("K_t", "K_v"),))
     assumed: list[str] = []
-    U, i, torque = given["voltage"], given["current"], given["torque"]
-    w = given["speed"] * math.pi / 30.0
-    K = given.get("K_t", 30.0 / (math.pi * given["K_v"]) if "K_v" in given else None)
+    U, i, torque = rated["voltage"], rated["current"], rated["torque"]
+    w = rated["speed"] * math.pi / 30.0
+    K = rated.get("K_t", 30.0 / (math.pi * rated["K_v"]) if "K_v" in rated else None)
     if K is None:
         K = torque / i
         assumed.append(f"K_t = {K:.4g} N m/A: nominal torque over nominal current")
@@ -60,23 +60,23 @@ def bldc(given: Mapping[str, float]) -> Drive:
               "K_t is in N m/A, K_v in 1/min/V, speed in 1/min")  # fmt: skip
     plausible("K_t", K * i / torque, "times the nominal torque at the nominal current", 0.3, 3.0,
               "torque is in N m, K_t in N m/A, current in A")  # fmt: skip
-    R = given.get("R_tt")
+    R = rated.get("R_tt")
     if R is None:
         R = (U - K * w) / i
         if R <= 0.0:
             raise ValueError(f"no resistance: the back-EMF {K * w:.4g} V leaves nothing of {U:g} V; give R_tt")
         assumed.append(f"R_tt = {R:.4g} ohm: what the nominal voltage leaves at nominal speed and current")
     plausible("R_tt", R * i / U, "times the nominal voltage at the nominal current", 1e-4, 1.0, "is it in ohm?")
-    L = given.get("L_tt")
+    L = rated.get("L_tt")
     if L is None:
         L = CONSTANT * R
         assumed.append(f"L_tt = {L:.4g} H: {CONSTANT:g} s times R_tt")
     plausible("L_tt", L / R, "s as time constant L/R", 1e-6, 0.1, "is it in H?")
-    idle = K * given.get("current_idle", 0.0)
+    idle = K * rated.get("current_idle", 0.0)
     plausible("current_idle", idle / torque, "times the nominal torque as friction", 0.0, 0.8, "it is in A")
-    J, largest = inertia(given, torque, w, assumed), most(given, i, 1.0, assumed)
-    period = given.get("period", min(5e-5, round(0.1 * L / R, 7) or 1e-7))
-    if "period" not in given:
+    J, largest = inertia(rated, torque, w, assumed), most(rated, i, 1.0, assumed)
+    period = rated.get("period", min(5e-5, round(0.1 * L / R, 7) or 1e-7))
+    if "period" not in rated:
         assumed.append(f"period = {period:g} s: 20 kHz, or a tenth of L/R where that is less")
     alpha_c = min(0.15 / period, 3000.0)
     alpha_s = min(HALL / 7.5, alpha_c / 40.0)
@@ -85,7 +85,7 @@ def bldc(given: Mapping[str, float]) -> Drive:
         ("no friction beside the no-load current's" if idle else "no friction")
         + ", trapezoids of 120 degrees, no cogging"
     )
-    plant = {"R": 0.5 * R, "L": 0.5 * L, "k_e": 0.5 * K, "pole_pairs": whole(given, "pole_pairs"), "J": J, "U_dc": U,
+    plant = {"R": 0.5 * R, "L": 0.5 * L, "k_e": 0.5 * K, "pole_pairs": whole(rated, "pole_pairs"), "J": J, "U_dc": U,
              "period": period, "trip_current": 3.0 * largest}  # fmt: skip
     if idle:
         plant |= {"T_coulomb": idle, "w_stick": max(1.0, 0.01 * w)}
@@ -93,7 +93,7 @@ def bldc(given: Mapping[str, float]) -> Drive:
     return Drive(plant, law, {"speed": 0.5 * w, "torque": 0.5 * torque}, tuple(assumed))
 
 
-def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
+def scenario(name: str, rated: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
     """Write a scenario for a brushless DC machine.
 
     Returns
@@ -103,12 +103,12 @@ def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...
     tuple of str
         What was assumed.
     """
-    drive = bldc(given)
+    drive = bldc(rated)
     step, alpha = drive.step, drive.law["speed_bandwidth"]
     start = drive.plant["J"] * step["speed"] / (2.0 * drive.plant["k_e"] * drive.law["i_max"])
     begin, settle = 0.002, 12.0 / alpha + 3.0 * start
     loaded, end = begin + settle, begin + 2.0 * settle
-    message = f"""{head(given, ASKED, drive.assumed, "A drive")}
+    message = f"""{head(rated, ASKED, drive.assumed, "A drive")}
 extends: bldc_six_step
 title: Six-step control of {name}
 system: {name}

@@ -21,24 +21,24 @@ class Drive(NamedTuple):
     assumed: tuple[str, ...]
 
 
-def inertia(given: Mapping[str, float], torque: float, w: float, assumed: list[str]) -> float:
+def inertia(rated: Mapping[str, float], torque: float, w: float, assumed: list[str]) -> float:
     """Return the inertia, kg m^2: of the data sheet, or assumed by the time of a start."""
-    if "J" in given:
+    if "J" in rated:
         plausible(
-            "J", given["J"], "kg m^2", 1e-6 * torque / w, SECONDS * torque / w,
+            "J", rated["J"], "kg m^2", 1e-6 * torque / w, SECONDS * torque / w,
             "the rated torque would start the rotor in no such time: is it in kg m^2? (1 g cm^2 = 1e-7 kg m^2)"
         )  # fmt: skip
-        return given["J"]
+        return rated["J"]
     J = torque * START / w
     assumed.append(f"J = {J:.4g} kg m^2: at rated torque the rotor needs {START:g} s to its rated speed")
     return J
 
 
-def most(given: Mapping[str, float], peak: float, scale: float, assumed: list[str]) -> float:
+def most(rated: Mapping[str, float], peak: float, scale: float, assumed: list[str]) -> float:
     """Return the largest current as an amplitude, A; `scale` turns that of the data sheet into one."""
-    if "i_max" in given:
-        plausible("i_max", scale * given["i_max"] / peak, "times the rated current", 0.5, 50.0, "it is in A")
-        return scale * given["i_max"]
+    if "i_max" in rated:
+        plausible("i_max", scale * rated["i_max"] / peak, "times the rated current", 0.5, 50.0, "it is in A")
+        return scale * rated["i_max"]
     assumed.append(f"i_max = {1.5 * peak:.4g} A: 1.5 times the amplitude of the rated current")
     return 1.5 * peak
 

@@ -34,12 +34,12 @@ LOSS = 0.05  # share of the rated power that the windings take where no resistan
 ONE = (("R_s", "R_tt"), ("psi_f", "K_e"), ("psi_f", "K_t"), ("K_e", "K_t"), ("L_d", "L_tt"), ("L_q", "L_tt"))
 
 
-def pmsm(given: Mapping[str, float]) -> Drive:
+def pmsm(rated: Mapping[str, float]) -> Drive:
     """Turn rated values into a drive with a permanent magnet machine.
 
     Parameters
     ----------
-    given : mapping of str to float
+    rated : mapping of str to float
         By the names and in the units of `ASKED`. Speed, current, pole pairs, and torque or power are needed.
 
     Returns
@@ -53,29 +53,29 @@ def pmsm(given: Mapping[str, float]) -> Drive:
         A name that is not asked for, a value that is no number above zero, one that is missing, or values that
         contradict each other.
     """
-    check(given, ASKED, ("speed", "current", "pole_pairs", ("torque", "power")), ONE)
-    if ("L_d" in given) != ("L_q" in given):
+    check(rated, ASKED, ("speed", "current", "pole_pairs", ("torque", "power")), ONE)
+    if ("L_d" in rated) != ("L_q" in rated):
         raise ValueError("L_d and L_q: give both, or L_tt")
     assumed: list[str] = []
-    p, peak = whole(given, "pole_pairs"), math.sqrt(2.0) * given["current"]
-    w = given["speed"] * math.pi / 30.0
-    torque = given["torque"] if "torque" in given else given["power"] / w
-    psi = _flux(given, p, torque, peak, assumed)
-    R = given.get("R_s", 0.5 * given["R_tt"] if "R_tt" in given else None)
+    p, peak = whole(rated, "pole_pairs"), math.sqrt(2.0) * rated["current"]
+    w = rated["speed"] * math.pi / 30.0
+    torque = rated["torque"] if "torque" in rated else rated["power"] / w
+    psi = _flux(rated, p, torque, peak, assumed)
+    R = rated.get("R_s", 0.5 * rated["R_tt"] if "R_tt" in rated else None)
     if R is None:
         R = LOSS * torque * w / (1.5 * peak * peak)
         assumed.append(f"R_s = {R:.4g} ohm: the windings lose {LOSS:.0%} of the rated power")
-    L_d, L_q = _inductances(given, p * w, psi, R, peak, assumed)
-    U_dc = given.get("U_dc")
+    L_d, L_q = _inductances(rated, p * w, psi, R, peak, assumed)
+    U_dc = rated.get("U_dc")
     if U_dc is None:
         needed = math.hypot(p * w * psi + R * peak, p * w * L_q * peak)
-        voltage = given.get("voltage", math.sqrt(1.5) * needed)
+        voltage = rated.get("voltage", math.sqrt(1.5) * needed)
         U_dc = 1.15 * math.sqrt(2.0) * voltage
         assumed.append(f"U_dc = {U_dc:.4g} V: 15 % above the amplitude of the rated voltage between terminals")
-    _check_orders(given, p * w, psi, R, max(L_d, L_q), U_dc, torque, peak, assumed)
-    J, largest = inertia(given, torque, w, assumed), most(given, peak, math.sqrt(2.0), assumed)
-    period = given.get("period", min(1e-4, round(0.05 * L_d / R, 6) or 1e-6))
-    if "period" not in given:
+    _check_orders(rated, p * w, psi, R, max(L_d, L_q), U_dc, torque, peak, assumed)
+    J, largest = inertia(rated, torque, w, assumed), most(rated, peak, math.sqrt(2.0), assumed)
+    period = rated.get("period", min(1e-4, round(0.05 * L_d / R, 6) or 1e-6))
+    if "period" not in rated:
         assumed.append(f"period = {period:g} s: 10 kHz, or a twentieth of L_d/R where that is less")
     alpha_c, alpha_s, step = loops(torque, w, J, period, assumed)
     assumed.append("no friction, no saturation, an ideal inverter with averaged voltages")
@@ -86,15 +86,15 @@ def pmsm(given: Mapping[str, float]) -> Drive:
 
 
 def _check_orders(
-    given: Mapping[str, float], w: float, psi: float, R: float, L: float, U_dc: float, torque: float, peak: float,
+    rated: Mapping[str, float], w: float, psi: float, R: float, L: float, U_dc: float, torque: float, peak: float,
     assumed: list[str],
 ) -> None:  # fmt: skip
     """Refuse values that are wrong by a unit, and remark small contradictions; `w` is electrical, rad/s."""
-    made = torque * w / round(given["pole_pairs"])
-    reach = U_dc / math.sqrt(3.0) if {"U_dc", "voltage"} & given.keys() else w * psi + R * peak
-    lost = 1.5 * R * peak * peak / made
+    shaft_power = torque * w / round(rated["pole_pairs"])
+    reach = U_dc / math.sqrt(3.0) if {"U_dc", "voltage"} & rated.keys() else w * psi + R * peak
+    lost = 1.5 * R * peak * peak / shaft_power
     plausible("R_s", lost, "times the rated power lost in the windings", 1e-5, 5.0, "is the resistance in ohm?")
-    magnet = 1.5 * round(given["pole_pairs"]) * psi * peak
+    magnet = 1.5 * round(rated["pole_pairs"]) * psi * peak
     units = "K_e is V (rms, between terminals) at 1000 1/min, psi_f Wb (peak), K_t N m/A, torque N m, current A (rms)"
     plausible("psi_f", magnet / torque, "times the rated torque at the rated current", 0.1, 3.0, units)
     plausible("psi_f", w * psi / reach, "times the voltage as back-EMF at rated speed", 1e-3, 4.0, units)
@@ -104,41 +104,41 @@ def _check_orders(
                        "the rest is reluctance torque, losses, or another convention of K_e or K_t")  # fmt: skip
 
 
-def _flux(given: Mapping[str, float], p: int, torque: float, peak: float, assumed: list[str]) -> float:
+def _flux(rated: Mapping[str, float], p: int, torque: float, peak: float, assumed: list[str]) -> float:
     """Return the flux linkage of the magnet, Wb."""
-    if "psi_f" in given:
-        return given["psi_f"]
-    if "K_e" in given:
-        return given["K_e"] * math.sqrt(2.0 / 3.0) / (1000.0 * math.pi / 30.0 * p)
-    constant = given.get("K_t", torque * math.sqrt(2.0) / peak)
-    if "K_t" not in given:
+    if "psi_f" in rated:
+        return rated["psi_f"]
+    if "K_e" in rated:
+        return rated["K_e"] * math.sqrt(2.0 / 3.0) / (1000.0 * math.pi / 30.0 * p)
+    constant = rated.get("K_t", torque * math.sqrt(2.0) / peak)
+    if "K_t" not in rated:
         assumed.append(f"psi_f: all torque at the rated current is that of the magnet, {constant:.4g} N m/A")
     return constant / (1.5 * p * math.sqrt(2.0))
 
 
 def _inductances(
-    given: Mapping[str, float], w: float, psi: float, R: float, peak: float, assumed: list[str]
+    rated: Mapping[str, float], w: float, psi: float, R: float, peak: float, assumed: list[str]
 ) -> tuple[float, float]:
     """Return L_d and L_q, H."""
-    if "L_d" in given:
-        return given["L_d"], given["L_q"]
-    if "L_tt" in given:
+    if "L_d" in rated:
+        return rated["L_d"], rated["L_q"]
+    if "L_tt" in rated:
         assumed.append("L_d = L_q = L_tt/2: surface magnets")
-        return 0.5 * given["L_tt"], 0.5 * given["L_tt"]
+        return 0.5 * rated["L_tt"], 0.5 * rated["L_tt"]
     along = w * psi + R * peak
-    left = 2.0 / 3.0 * given["voltage"] ** 2 - along * along if "voltage" in given else 0.0
+    left = 2.0 / 3.0 * rated["voltage"] ** 2 - along * along if "voltage" in rated else 0.0
     if left <= 0.0:
         raise ValueError(
             "no inductance: give L_tt, or L_d and L_q"
             + (f"; the rated voltage is less than back-EMF and resistance need, {along * math.sqrt(1.5):.4g} V"
-               if "voltage" in given else ", or the rated voltage, from which one follows")
+               if "voltage" in rated else ", or the rated voltage, from which one follows")
         )  # fmt: skip
     L = math.sqrt(left) / (w * peak)
     assumed.append(f"L_d = L_q = {L:.4g} H: what the rated voltage leaves at rated current and speed, i_d = 0")
     return L, L
 
 
-def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
+def scenario(name: str, rated: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
     """Write a scenario for a machine of a data sheet.
 
     Returns
@@ -148,8 +148,8 @@ def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...
     tuple of str
         What was assumed.
     """
-    drive = pmsm(given)
-    text = f"""{head(given, ASKED, drive.assumed, "A drive")}
+    drive = pmsm(rated)
+    text = f"""{head(rated, ASKED, drive.assumed, "A drive")}
 extends: pmsm_foc
 title: Field-oriented control of {name}
 system: {name}

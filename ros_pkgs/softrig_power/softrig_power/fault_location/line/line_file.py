@@ -15,14 +15,14 @@ from .parameters import LineParams
 PAPER = "paper"
 
 
-def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the line's data from a file; values in `given` (``line.length`` and so on) take precedence.
+def line_data(source: str | None, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the line's data from a file; values in `overrides` (``line.length`` and so on) take precedence.
 
     Parameters
     ----------
     source : str, optional
         A YAML file with length (km), r1 (ohm/km), l1 (H/km) and c1 (F/km), or ``paper`` for Table I.
-    given : mapping
+    overrides : mapping
         Locator parameters by dotted name.
 
     Returns
@@ -48,7 +48,7 @@ def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
             raise ScenarioError(f"--line {source}: expected {', '.join(names)}, got {entries!r}")
         build(LineParams, entries)  # its errors name the file's own words
     result = {f"line.{name}": value for name, value in entries.items()}
-    result |= {name: value for name, value in given.items() if name.startswith("line.")}
+    result |= {name: value for name, value in overrides.items() if name.startswith("line.")}
     missing = [name for name in names if f"line.{name}" not in result]
     if missing:
         raise ScenarioError(

@@ -98,4 +98,4 @@ class MovingRows(NamedTuple):
 
 
 def _copied(state: State) -> State:
-    return State._make([part.copy() for part in state])
+    return State._make([array.copy() for array in state])

@@ -53,7 +53,7 @@ def network(p: RigParams) -> Network:
     src, h = p.source, p.step
     x, remaining = p.fault.x_km, p.line.length - p.fault.x_km
     sections = [
-        part.part(length) for length in (x, remaining) for part in (p.line.ground, p.line.aerial, p.line.aerial)
+        mode.part(length) for length in (x, remaining) for mode in (p.line.ground, p.line.aerial, p.line.aerial)
     ]
     zero = branch(src.r0, src.x0 / src.omega, h)
     positive = branch(src.r1, src.x1 / src.omega, h)
@@ -109,7 +109,7 @@ def steady(p: RigParams) -> Steady:
     emf = [cmath.rect(peak, angle) for angle in (src.angle_s, src.angle_r)]
     u = dense.solve(y, [admittance * emf[S], 0.0, admittance * emf[R]])
     i = np.array([dense.product(ports[0], u[:2])[0], dense.product(ports[1], u[1:])[1]])
-    return Steady(u, i, np.array([admittance * (e - at) for e, at in zip(emf, u[[0, 2]].tolist(), strict=True)]))
+    return Steady(u, i, np.array([admittance * (e - v) for e, v in zip(emf, u[[0, 2]].tolist(), strict=True)]))
 
 
 def to_modes(phasor: complex) -> Complex:

@@ -82,7 +82,7 @@ def _scatter(work: Locator, location: Location) -> float:
     assert location.x_km is not None
     low, high = max(location.x_km - 2.0, 0.0), min(location.x_km + 2.0, work.section.length)
     edges = np.linspace(work.first, work.first + work.count, STRETCHES + 1).astype(int)
-    places = [
+    positions = [
         minimize_scalar(
             lambda x, a=a, b=b: float(work.f(np.array([x]), location.mode, (int(a), int(b - a)))[0]),
             bounds=(low, high),
@@ -92,7 +92,7 @@ def _scatter(work: Locator, location: Location) -> float:
         for a, b in pairwise(edges)
         if b > a
     ]
-    return float(np.std(places, ddof=1) / np.sqrt(len(places)))
+    return float(np.std(positions, ddof=1) / np.sqrt(len(positions)))
 
 
 def _disturbed(record: Record, p: LocatorParams, budget: ErrorBudget) -> Iterator[tuple[str, Record, LocatorParams]]:

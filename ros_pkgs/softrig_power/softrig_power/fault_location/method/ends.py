@@ -44,8 +44,8 @@ def contradiction(work: Objective, limit: float) -> str:
         0,
         len(curve) - 1,
     ):
-        for name, other in _otherwise(work.record):
-            if np.max(_apart(work, other, (work.first, work.count))(work.grid)) < work.p.f_threshold:
+        for name, rewired in _otherwise(work.record):
+            if np.max(_apart(work, rewired, (work.first, work.count))(work.grid)) < work.p.f_threshold:
                 return f"contradictory: with {name} the ends are those of a healthy line: wired so?"
     voltage = max(float(np.sqrt(np.mean(work.record.group(name) ** 2))) for name in ("u_s", "u_r"))
     apart = _least(work, _apart(work, work.record, (work.first, work.count)), curve)
@@ -65,11 +65,11 @@ def contradiction(work: Objective, limit: float) -> str:
 
 def _likely(work: Objective) -> Iterator[tuple[float, str]]:
     """Yield the wirings under which the ends agree better, tried on a part of the window first, and how well, V."""
-    part = (work.first, max(work.count // SHARE, 1))
-    known = _least(work, _apart(work, work.record, part))
-    for name, other in _otherwise(work.record):
-        if _least(work, _apart(work, other, part)) * LIKELY <= known:
-            yield _least(work, _apart(work, other, (work.first, work.count))), name
+    stretch = (work.first, max(work.count // SHARE, 1))
+    known = _least(work, _apart(work, work.record, stretch))
+    for name, rewired in _otherwise(work.record):
+        if _least(work, _apart(work, rewired, stretch)) * LIKELY <= known:
+            yield _least(work, _apart(work, rewired, (work.first, work.count))), name
 
 
 def _apart(work: Objective, record: Record, stretch: tuple[int, int]) -> Callable[[Array], Array]:

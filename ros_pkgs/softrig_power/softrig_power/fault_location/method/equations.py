@@ -85,9 +85,9 @@ def trial_voltage(
     shunt : float
         Factor of u(t): R^2/8 where it is right.
     """
-    u, i, z, whole = end[0], end[1], line.z, int(delay)
+    u, i, z, samples = end[0], end[1], line.z, int(delay)
     w = np.empty(6)
-    lagrange(delay - whole, w)
+    lagrange(delay - samples, w)
     plus, minus = z + 0.25 * r, z - 0.25 * r
     a = plus * plus
     b = a if line.coefficient else minus * minus
@@ -96,8 +96,8 @@ def trial_voltage(
     scale = 0.5 / (z * z)
     for n in range(out.shape[0]):
         k = first + n
-        ahead = k + whole - 2
-        behind = k - whole + 2
+        ahead = k + samples - 2
+        behind = k - samples + 2
         u_ahead, i_ahead, u_behind, i_behind = 0.0, 0.0, 0.0, 0.0
         for j in range(6):
             u_ahead += w[j] * u[ahead + j]
@@ -139,15 +139,15 @@ def mismatch(line: Model, ends: Array, first: int, count: int, x: float, tau: fl
 @jit
 def objectives(line: Model, ends: Array, rate: float, first: int, count: int, x: Array, out: Array) -> None:
     """Write F at the points x, shape (m,), in km; the delays are fractions of samples."""
-    whole = line.length / line.v * rate
+    travel = line.length / line.v * rate
     for n in range(x.shape[0]):
         tau = x[n] / line.v * rate
-        out[n] = mismatch(line, ends, first, count, x[n], tau, max(whole - tau, 0.0))
+        out[n] = mismatch(line, ends, first, count, x[n], tau, max(travel - tau, 0.0))
 
 
 @jit
 def objectives_integer(line: Model, ends: Array, rate: float, first: int, count: int, out: Array) -> None:
     """Write F at x_n = n v/rate with whole-sample delays, n = 0, 1, ...: the paper's discretisation (15)."""
-    whole = line.length / line.v * rate
+    travel = line.length / line.v * rate
     for n in range(out.shape[0]):
-        out[n] = mismatch(line, ends, first, count, n * line.v / rate, float(n), float(round(whole - n)))
+        out[n] = mismatch(line, ends, first, count, n * line.v / rate, float(n), float(round(travel - n)))

@@ -28,9 +28,9 @@ def inception(record: Record, frequency: float) -> float:
     for name in GROUPS:
         group = record.group(name)
         jump = np.abs(group[cycle:] - group[:-cycle]).max(axis=1)
-        out = np.flatnonzero(jump > CHANGE * np.abs(group[:cycle]).max())
-        if out.size:
-            first = min(first, int(out[0]) + cycle)
+        changes = np.flatnonzero(jump > CHANGE * np.abs(group[:cycle]).max())
+        if changes.size:
+            first = min(first, int(changes[0]) + cycle)
     if first == len(record.samples):
         raise RecordError(Status.NO_FAULT, "no_fault: no channel changes by a fifth from one cycle to the next")
     return record.start + first / record.rate

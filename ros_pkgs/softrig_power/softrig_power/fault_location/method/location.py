@@ -54,20 +54,20 @@ class Locator(Objective):
         p, highest, lowest = self.p, np.max(self.curves, axis=1), np.min(self.curves, axis=1)
         excited = (highest >= p.f_threshold) & (highest >= p.f_ratio * lowest)
         mode = int(np.argmax(highest)) + 1 if p.mode == "auto" else int(p.mode)
-        seen = Location(Status.OK, None, float(lowest[mode - 1]), float(highest[mode - 1]), mode, self.evaluations)
+        choice = Location(Status.OK, None, float(lowest[mode - 1]), float(highest[mode - 1]), mode, self.evaluations)
         limit = p.disagreement if excited.any() else min(p.disagreement, NOWHERE)
         against = contradiction(self, limit) if float(np.max(highest)) >= p.f_threshold else ""
         if against:
-            return replace(seen, status=Status.CONTRADICTORY, text=against)
+            return replace(choice, status=Status.CONTRADICTORY, text=against)
         if excited[mode - 1] and (p.mode == "auto" or highest[mode - 1] >= float(np.max(highest)) / p.f_ratio):
-            return seen
-        measured = f"max F = {seen.f_max:.4g} V, min F = {seen.f_min:.4g} V in mode {mode}"
+            return choice
+        measured = f"max F = {choice.f_max:.4g} V, min F = {choice.f_min:.4g} V in mode {mode}"
         if p.mode != "auto" and excited.any():
             best = int(np.argmax(highest)) + 1
             text = f"mode_not_excited: {measured}, but {highest[best - 1]:.4g} V in mode {best}"
-            return replace(seen, status=Status.MODE_NOT_EXCITED, text=text)
+            return replace(choice, status=Status.MODE_NOT_EXCITED, text=text)
         text = f"no_fault: {measured}, expected {p.f_threshold:g} V and a ratio of {p.f_ratio:g}"
-        return replace(seen, status=Status.NO_FAULT, text=text)
+        return replace(choice, status=Status.NO_FAULT, text=text)
 
     def locate(self) -> Location:
         """Find the fault with the algorithm of the parameters."""

@@ -53,7 +53,7 @@ def _arrival(work: Objective, mode: int, row: int) -> int:
     """Return the first sample with an outstanding second difference; the first half of the samples is the baseline."""
     bends = np.abs(np.diff(work.ends(mode)[row, : work.first + work.count], 2))
     quiet = float(bends[: work.first // 2].max())
-    out = np.flatnonzero(bends > QUIET * quiet)
-    if not out.size:
+    outliers = np.flatnonzero(bends > QUIET * quiet)
+    if not outliers.size:
         raise RecordError(Status.NO_FAULT, "no_fault: no wave front arrives in the window")
-    return int(out[0]) + 2
+    return int(outliers[0]) + 2

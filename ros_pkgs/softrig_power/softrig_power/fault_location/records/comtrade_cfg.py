@@ -145,7 +145,7 @@ def read_settings(text: str) -> Settings:
         lines.fields("a status channel", (3, 5))
     frequency = lines.number(lines.fields("line frequency", (1,))[0] or "0", "lf")
     rates = _rates(lines)
-    (start, ns_start), (trigger, ns_trigger) = (_stamp(lines, which, old) for which in ("start", "trigger"))
+    (start, ns_start), (trigger, ns_trigger) = (_stamp(lines, instant, old) for instant in ("start", "trigger"))
     form = lines.fields("form of the data", (1,))[0].upper()
     if form not in FORMS:
         raise lines.wrong(f"ft is {form!r}{closest(form, FORMS)}, expected one of {', '.join(FORMS)}")
@@ -178,17 +178,17 @@ class _Lines:
         """Return an error about the last line."""
         return SettingsError(f"line {self.at}: {text}")
 
-    def fields(self, what: str, sizes: Sequence[int]) -> list[str]:
+    def fields(self, content: str, sizes: Sequence[int]) -> list[str]:
         """Return the fields of the next line."""
         self.at += 1
         if self.at > len(self.rows):
-            raise self.wrong(f"the file ends before {what}")
+            raise self.wrong(f"the file ends before {content}")
         result = [field.strip() for field in self.rows[self.at - 1].split(",")]
         while len(result) > max(sizes) and not result[-1]:
             result.pop()  # some recorders end each line with a comma
         if len(result) not in sizes:
             expected = " or ".join(map(str, sizes))
-            raise self.wrong(f"{len(result)} fields, expected {expected} ({what})")
+            raise self.wrong(f"{len(result)} fields, expected {expected} ({content})")
         return result
 
     def optional(self, size: int) -> list[str]:
@@ -262,14 +262,14 @@ def _rates(lines: _Lines) -> tuple[tuple[float, int], ...]:
     return tuple(pair for pair, after in zip(results, [*results[1:], (-1.0, 0)], strict=True) if pair[0] != after[0])
 
 
-def _stamp(lines: _Lines, which: str, american: bool) -> tuple[int | None, bool]:
+def _stamp(lines: _Lines, instant: str, american: bool) -> tuple[int | None, bool]:
     """Return ns since 1970, and whether the fraction is in ns; years of two digits are those since 1970."""
-    date, time = lines.fields(f"date and time of the {which}", (2,))
+    date, time = lines.fields(f"date and time of the {instant}", (2,))
     clock = re.fullmatch(r"(\d{1,2}):(\d{2}):(\d{1,2})(?:\.(\d{1,12}))?", time or "00:00:00")
     day = re.fullmatch(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})", date or "1/1/1970")
     if day is None or clock is None:
-        raise lines.wrong(f"{which} is {date},{time}, expected dd/mm/yyyy,hh:mm:ss.ssssss")
-    first, second, year = (int(part) for part in day.groups())
+        raise lines.wrong(f"{instant} is {date},{time}, expected dd/mm/yyyy,hh:mm:ss.ssssss")
+    first, second, year = (int(number) for number in day.groups())
     fraction = clock[4] or ""
     nanoseconds = len(fraction) > 6
     if first == second == 0:
@@ -278,10 +278,10 @@ def _stamp(lines: _Lines, which: str, american: bool) -> tuple[int | None, bool]
     month, day_of_month = (first, second) if american else (second, first)
     try:
         midnight = dt.datetime(year, month, day_of_month)
-        whole = midnight + dt.timedelta(hours=int(clock[1]), minutes=int(clock[2]), seconds=int(clock[3]))
+        moment = midnight + dt.timedelta(hours=int(clock[1]), minutes=int(clock[2]), seconds=int(clock[3]))
     except ValueError as error:
-        raise lines.wrong(f"{which} is {date},{time}: {error}") from None
-    past = whole - dt.datetime(1970, 1, 1)
+        raise lines.wrong(f"{instant} is {date},{time}: {error}") from None
+    past = moment - dt.datetime(1970, 1, 1)
     stamp = (past.days * 86400 + past.seconds) * 10**9 + int(fraction.ljust(9, "0")[:9])
     return (stamp if date else None), nanoseconds
 

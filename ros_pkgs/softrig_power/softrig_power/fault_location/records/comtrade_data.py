@@ -140,8 +140,8 @@ def times(settings: Settings, samples: Samples) -> tuple[Array, list[str]]:
     t = np.zeros(len(n))
     begin, elapsed = n[0] if len(n) else 1.0, 0.0
     for rate, last in settings.rates:
-        inside = (n > begin) & (n <= last) if elapsed else n <= last
-        t[inside] = elapsed + (n[inside] - begin) / rate
+        covered = (n > begin) & (n <= last) if elapsed else n <= last
+        t[covered] = elapsed + (n[covered] - begin) / rate
         elapsed, begin = elapsed + (last - begin) / rate, float(last)
     beyond = n > settings.rates[-1][1]
     t[beyond] = elapsed + (n[beyond] - begin) / settings.rates[-1][0]
@@ -167,17 +167,17 @@ def stretch(settings: Settings, n: Array, t: Array) -> tuple[slice, list[str]]:
     if len(settings.rates) == 1:
         return slice(0, len(n)), []
     edges = [0, *(int(np.searchsorted(n, last, side="right")) for _, last in settings.rates)]
-    parts = [slice(a, b) for a, b in pairwise(edges)]
-    chosen = max(range(len(parts)), key=lambda k: (settings.rates[k][0], parts[k].stop - parts[k].start))
+    runs = [slice(a, b) for a, b in pairwise(edges)]
+    chosen = max(range(len(runs)), key=lambda k: (settings.rates[k][0], runs[k].stop - runs[k].start))
     if settings.start is not None and settings.trigger is not None and settings.trigger > settings.start:
-        at = (settings.trigger - settings.start) * 1e-9
-        chosen = next((k for k, part in enumerate(parts) if part.stop > part.start and t[part.stop - 1] >= at), chosen)
-    part = parts[chosen]
-    if part.stop - part.start < 2:
+        trigger = (settings.trigger - settings.start) * 1e-9
+        chosen = next((k for k, run in enumerate(runs) if run.stop > run.start and t[run.stop - 1] >= trigger), chosen)
+    run = runs[chosen]
+    if run.stop - run.start < 2:
         raise DataError(f"fewer than two samples at {settings.rates[chosen][0]:g} Hz")
     others = ", ".join(f"{rate:g} Hz" for k, (rate, _) in enumerate(settings.rates) if k != chosen)
     note = (
-        f"of the rates only {settings.rates[chosen][0]:g} Hz is used, from {t[part.start]:.6g} to "
-        f"{t[part.stop - 1]:.6g} s, not the samples at {others}"
+        f"of the rates only {settings.rates[chosen][0]:g} Hz is used, from {t[run.start]:.6g} to "
+        f"{t[run.stop - 1]:.6g} s, not the samples at {others}"
     )
-    return part, [note]
+    return run, [note]

@@ -177,12 +177,12 @@ def _aligned(files: Sequence[Recorder]) -> tuple[list[float], list[str], float]:
 def _phases(known: Sequence[Analog]) -> list[int | None]:
     """Return the phase of each channel, 0 to 2; None if it has none, or if letters of two systems are mixed."""
     marks = [_PHASE.sub("", c.phase.upper().replace(" ", "")) for c in known]
-    whole = [system for system in _SYSTEMS if set(system) <= set(marks)]
+    complete = [system for system in _SYSTEMS if set(system) <= set(marks)]
     result: list[int | None] = []
     for mark in marks:
-        inside = [system for system in whole if mark in system] or [system for system in _SYSTEMS if mark in system]
-        places = {system.index(mark) for system in inside} if mark else set()
-        result.append(places.pop() if len(places) == 1 else None)
+        fits = [system for system in complete if mark in system] or [system for system in _SYSTEMS if mark in system]
+        phases = {system.index(mark) for system in fits} if mark else set()
+        result.append(phases.pop() if len(phases) == 1 else None)
     return result
 
 
@@ -231,8 +231,8 @@ def _end(file: Recorder, order: Sequence[int]) -> tuple[Array, Array]:
     alone = np.ascontiguousarray(columns.T)[:, :, None]  # of one layout with whole ends, for which code is compiled
     for k, skew in enumerate(skews):
         begin = float(file.t[0]) + skew
-        own = skew == skews[0]
-        moved.append(columns[keep, k] if own else resampled(alone[k], begin, rate, t[keep], rate)[:, 0])
+        aligned = skew == skews[0]
+        moved.append(columns[keep, k] if aligned else resampled(alone[k], begin, rate, t[keep], rate)[:, 0])
     return t[keep], np.column_stack(moved)
 
 

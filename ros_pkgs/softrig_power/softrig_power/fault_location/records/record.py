@@ -162,12 +162,12 @@ class Record:
         results = {group: [signals[f"{topic}/{axis}"] for axis in "xyz"] for group, topic in TOPICS.items()}
         times = {group: axes[0][0] for group, axes in results.items()}
         for u, i in (("u_s", "i_s"), ("u_r", "i_r")):
-            for there, short in ((u, i), (i, u)):
-                lost = np.setdiff1d(times[there], times[short])
+            for complete, short in ((u, i), (i, u)):
+                lost = np.setdiff1d(times[complete], times[short])
                 if lost.size:
                     raise RecordError(
                         Status.GAP,
-                        f"gap: {TOPICS[short]} has no message at {lost[0]:.9g} s, {TOPICS[there]} has"
+                        f"gap: {TOPICS[short]} has no message at {lost[0]:.9g} s, {TOPICS[complete]} has"
                         + (f" ({lost.size} such times)" if lost.size > 1 else ""),
                     )
         ends = [np.column_stack([x for g in pair for _, x in results[g]]) for pair in (("u_s", "i_s"), ("u_r", "i_r"))]
@@ -197,26 +197,26 @@ def _off(end: str, t_x: Array, rate: float, t: Array, to_rate: float) -> str:
     return f"{end} resampled, its samples lie {offset - round(offset):+.3g} of a sample off those of the other end"
 
 
-def _rate(t: Array, where: str = "") -> float:
+def _rate(t: Array, context: str = "") -> float:
     """Sampling rate of equidistant times, to 1 mHz, so that equal records produce equal numbers from any source."""
     if len(t) < 2:
-        raise RecordError(Status.TOO_SHORT, f"{where}a record of {len(t)} samples")
+        raise RecordError(Status.TOO_SHORT, f"{context}a record of {len(t)} samples")
     if not np.isfinite(t).all():
         raise RecordError(
-            Status.NON_FINITE, f"{where}the time of sample {int(np.argmin(np.isfinite(t)))} is not finite"
+            Status.NON_FINITE, f"{context}the time of sample {int(np.argmin(np.isfinite(t)))} is not finite"
         )
     steps = np.diff(t)
     usual = float(np.median(steps))
     if not usual > 0.0:
-        raise RecordError(Status.UNSYNCHRONISED, f"{where}unsynchronised: the stamps do not rise, step {usual:g} s")
+        raise RecordError(Status.UNSYNCHRONISED, f"{context}unsynchronised: the stamps do not rise, step {usual:g} s")
     for k in np.flatnonzero(np.abs(steps - usual) > SYNC * usual)[:1].tolist():
         if steps[k] < usual:
             raise RecordError(
                 Status.UNSYNCHRONISED,
-                f"{where}unsynchronised: stamp {t[k + 1]:.9g} s follows {t[k]:.9g} s, "
+                f"{context}unsynchronised: stamp {t[k + 1]:.9g} s follows {t[k]:.9g} s, "
                 f"expected {usual:.6g} s between them",
             )
-        raise RecordError(Status.GAP, f"{where}gap at {t[k] + usual:.9g} s: the next sample is at {t[k + 1]:.9g} s")
+        raise RecordError(Status.GAP, f"{context}gap at {t[k] + usual:.9g} s: the next sample is at {t[k + 1]:.9g} s")
     return round((len(t) - 1) / float(t[-1] - t[0]), 3)
 
 

@@ -43,16 +43,16 @@ def resampled(x: Array, start: float, rate: float, t: Array, to_rate: float) -> 
 
 
 @jit
-def _resample(x: Array, place: Array, cutoff: float, out: Array) -> None:
+def _resample(x: Array, positions: Array, cutoff: float, out: Array) -> None:
     """Write x at places counted in its samples; `cutoff` as a share of its own half rate."""
     half = HALF / cutoff
-    for n in range(place.shape[0]):
-        first = max(math.ceil(place[n] - half), 0)
-        last = min(math.floor(place[n] + half), x.shape[0] - 1)
+    for n in range(positions.shape[0]):
+        first = max(math.ceil(positions[n] - half), 0)
+        last = min(math.floor(positions[n] + half), x.shape[0] - 1)
         out[n] = 0.0
         total = 0.0
         for k in range(first, last + 1):
-            u = place[n] - k
+            u = positions[n] - k
             turn = math.pi * cutoff * u
             w = 0.42 + 0.5 * math.cos(math.pi * u / half) + 0.08 * math.cos(2.0 * math.pi * u / half)
             if abs(turn) > 1e-12:

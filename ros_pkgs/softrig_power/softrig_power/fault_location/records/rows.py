@@ -88,14 +88,14 @@ class RowsRing(NamedTuple):
 
     def put(self, row: Row) -> RowsRing:
         """See `Rows.put`."""
-        place = self.written % self.most * self.width
+        offset = self.written % self.most * self.width
         for k, value in enumerate(row):
-            self.ring[place + k] = value
+            self.ring[offset + k] = value
         return self._replace(written=self.written + 1)
 
     def python(self) -> Rows:
         """Return them as Python has them."""
-        table, at = self.ring.reshape(self.most, self.width), self.written % self.most
+        table, oldest = self.ring.reshape(self.most, self.width), self.written % self.most
         full = self.written >= self.most
-        newest = np.concatenate([table[at:], table[:at]]) if full else table[:at].copy()
+        newest = np.concatenate([table[oldest:], table[:oldest]]) if full else table[:oldest].copy()
         return _with(self.most, self.width, len(newest), None, newest)

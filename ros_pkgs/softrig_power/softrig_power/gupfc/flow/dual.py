@@ -23,8 +23,8 @@ class Dual:
     # With this, numpy arrays leave their operators to this class.
     __array_priority__: ClassVar[float] = 1000.0
 
-    def __getitem__(self, at: Any) -> Dual:
-        return Dual(self.value[at], self.slope[at])
+    def __getitem__(self, key: Any) -> Dual:
+        return Dual(self.value[key], self.slope[key])
 
     def __add__(self, other: Any) -> Dual:
         if isinstance(other, Dual):

@@ -205,8 +205,8 @@ class PowerFlow:
         surplus = p_sh + loss + converter_power(v1, a1, v2, a2, e, f, z).sum(0)
         balance_p = [p[0], p[1] - p1[0] - p_sh, p[2] - p2[0], p[3] - p1[1], p[4] - p2[1], p[5]]
         balance_q = [q[0], q[1] - q1[0] - q_sh, q[2] - q2[0], q[3] - q1[1], q[4] - q2[1], q[5]]
-        held = [flow_p[0], flow_q[0], flow_p[1], flow_q[1], v[1], surplus]
-        rows = [*balance_p, *balance_q, *(h - wanted for h, wanted in zip(held, target, strict=True))]
+        controlled = [flow_p[0], flow_q[0], flow_p[1], flow_q[1], v[1], surplus]
+        rows = [*balance_p, *balance_q, *(h - wanted for h, wanted in zip(controlled, target, strict=True))]
         return np.array([row.value for row in rows]), np.array([row.slope for row in rows])
 
     def _solution(self, x: Array, iterations: int, mismatch: float) -> Solution:

@@ -138,19 +138,25 @@ def _newton(
     a: complex, b: complex, share: float, k: complex, s1: complex, s2: complex, v2: complex, v4: complex
 ) -> tuple[complex, complex, float]:
     """Solve with a share of the coupling, and the rest as if both voltages were equal; return the mismatch too."""
-    own, other = a - b * (1.0 - share), -b * share
+    diag, off = a - b * (1.0 - share), -b * share
 
     def mismatch(v2: complex, v4: complex) -> tuple[complex, complex]:
-        return (v2 * (own * v2 + other * v4 + k).conjugate() - s1, v4 * (own * v4 + other * v2 + k).conjugate() - s2)
+        return (
+            v2 * (diag * v2 + off * v4 + k).conjugate() - s1,
+            v4 * (diag * v4 + off * v2 + k).conjugate() - s2,
+        )
 
     f1, f2 = mismatch(v2, v4)
     size = max(abs(f1), abs(f2))
     for _ in range(ITERATIONS):
         if size <= SOLVED:
             break
-        i12, i34 = own * v2 + other * v4 + k, own * v4 + other * v2 + k
+        i12, i34 = diag * v2 + off * v4 + k, diag * v4 + off * v2 + k
         straight = ((i12.conjugate(), 0j), (0j, i34.conjugate()))  # of dV, beside those of dV*
-        turned = ((v2 * own.conjugate(), v2 * other.conjugate()), (v4 * other.conjugate(), v4 * own.conjugate()))
+        turned = (
+            (v2 * diag.conjugate(), v2 * off.conjugate()),
+            (v4 * off.conjugate(), v4 * diag.conjugate()),
+        )
         matrix = np.zeros((4, 4))
         for i, n in product(range(2), range(2)):
             both, apart = straight[i][n] + turned[i][n], straight[i][n] - turned[i][n]

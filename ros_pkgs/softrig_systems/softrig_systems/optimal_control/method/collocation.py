@@ -126,29 +126,32 @@ def solve(
     first, joints = guess(times.ravel()), guess(ends)
     w = [joints[:n, 0]]
     for k in range(intervals):
-        part = first[:, k * degree : (k + 1) * degree]
-        w += [part[:n].ravel(order="F"), part[n:].ravel(order="F"), joints[:n, k + 1]]
+        chunk = first[:, k * degree : (k + 1) * degree]
+        w += [chunk[:n].ravel(order="F"), chunk[n:].ravel(order="F"), joints[:n, k + 1]]
     result = grid.solver(x0=np.concatenate(w), p=[*x0, problem.horizon], lbg=0.0, ubg=0.0)
     status = grid.solver.stats()
     w_star, multipliers = np.array(result["x"]).ravel(), np.array(result["lam_g"]).ravel()
     xs, us, costates = np.empty((intervals, degree + 1, n)), np.empty((intervals, degree, m)), [-multipliers[:n]]
     end_x = w_star[:n]
     for k in range(intervals):
-        part = w_star[n + k * block : n + (k + 1) * block]
-        xs[k] = np.vstack([end_x, part[: n * degree].reshape(degree, n)])
-        us[k] = part[n * degree : (n + m) * degree].reshape(degree, m)
-        end_x = part[(n + m) * degree :]
-        at = n + k * (n * degree + n) + n * degree
-        costates.append(multipliers[at : at + n])
+        chunk = w_star[n + k * block : n + (k + 1) * block]
+        xs[k] = np.vstack([end_x, chunk[: n * degree].reshape(degree, n)])
+        us[k] = chunk[n * degree : (n + m) * degree].reshape(degree, m)
+        end_x = chunk[(n + m) * degree :]
+        offset = n + k * (n * degree + n) + n * degree
+        costates.append(multipliers[offset : offset + n])
     s = np.linspace(0.0, 1.0, samples)
     rows = np.empty((2 * n + m, samples))
     rows[n : 2 * n] = CubicSpline(ends, np.array(costates))(s).T
-    inside = np.minimum((s * intervals + 1e-12).astype(int), intervals - 1)
+    interval = np.minimum((s * intervals + 1e-12).astype(int), intervals - 1)
     residual, middle = 0.0, 0.5 * (grid.tau[1:] + grid.tau[:-1])
     for k in range(intervals):
         x_k, u_k = BarycentricInterpolator(grid.tau, xs[k]), BarycentricInterpolator(grid.tau[1:], us[k])
-        here = np.flatnonzero(inside == k)
-        rows[:n, here], rows[2 * n :, here] = x_k(s[here] * intervals - k).T, u_k(s[here] * intervals - k).T
+        pick = np.flatnonzero(interval == k)
+        rows[:n, pick], rows[2 * n :, pick] = (
+            x_k(s[pick] * intervals - k).T,
+            u_k(s[pick] * intervals - k).T,
+        )
         rate = np.array(grid.slopes.map(middle.size)(x_k(middle).T, u_k(middle).T)[0]).T
         residual = max(residual, float(np.abs(x_k.derivative(middle) * intervals / problem.horizon - rate).max()))
     rows[:n, -1] = end_x

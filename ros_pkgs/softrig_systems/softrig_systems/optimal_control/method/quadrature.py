@@ -22,10 +22,10 @@ def gauss_legendre(n: int) -> tuple[Array, Array]:
     for k in range(n):
         x = -math.cos(math.pi * (k + 0.75) / (n + 0.5))
         for _ in range(8):  # quadratic from 1e-4 on; three would do
-            before, here = 1.0, x
+            before, current = 1.0, x
             for j in range(2, n + 1):
-                before, here = here, ((2 * j - 1) * x * here - (j - 1) * before) / j
-            slope = n * (x * here - before) / (x * x - 1.0)
-            x -= here / slope
+                before, current = current, ((2 * j - 1) * x * current - (j - 1) * before) / j
+            slope = n * (x * current - before) / (x * x - 1.0)
+            x -= current / slope
         nodes[k], weights[k] = 0.5 * (1.0 + x), 1.0 / ((1.0 - x * x) * slope * slope)
     return nodes, weights

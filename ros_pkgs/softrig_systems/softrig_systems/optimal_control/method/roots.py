@@ -113,19 +113,19 @@ def pay(plant: Tape, u: Array, T: float, steps: int, x: Array) -> None:
     """Play controls (stages, m, powers) to a plant, its states and then the cost in x, changed in place."""
     n, m = x.shape[0] - 1, u.shape[1]
     work = np.zeros((plant.code.shape[0], 1))
-    at = np.zeros((n + m, 1))
+    point = np.zeros((n + m, 1))
     k = np.zeros((4, n + 1))
     h = T / (u.shape[0] * steps)
     for stage in range(u.shape[0]):
         for step in range(steps):
-            for part in range(4):
-                share = 0.0 if part == 0 else (1.0 if part == 3 else 0.5)
+            for rk_stage in range(4):
+                share = 0.0 if rk_stage == 0 else (1.0 if rk_stage == 3 else 0.5)
                 for i in range(n):
-                    at[i, 0] = x[i] + (h * share * k[part - 1, i] if part else 0.0)
+                    point[i, 0] = x[i] + (h * share * k[rk_stage - 1, i] if rk_stage else 0.0)
                 for i in range(m):
-                    at[n + i, 0] = value(u[stage, i], (step + share) / steps)
-                play(plant, at, work, 0)
+                    point[n + i, 0] = value(u[stage, i], (step + share) / steps)
+                play(plant, point, work, 0)
                 for i in range(n + 1):
-                    k[part, i] = work[plant.out[i], 0]
+                    k[rk_stage, i] = work[plant.out[i], 0]
             for i in range(n + 1):
                 x[i] += h / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])

@@ -56,10 +56,10 @@ class Tape(NamedTuple):
         binary = {ca.OP_ADD: ADD, ca.OP_SUB: SUB, ca.OP_MUL: MUL, ca.OP_DIV: DIV}
         unary = {ca.OP_NEG: NEG, ca.OP_SIN: SIN, ca.OP_COS: COS, ca.OP_EXP: EXP, ca.OP_LOG: LOG, ca.OP_ASSIGN: COPY}
         rows: list[tuple[int, int, int, float]] = []
-        at: dict[int, int] = {}  # casadi's working place, which it uses again, to ours
+        index_of: dict[int, int] = {}  # casadi's working place, which it uses again, to ours
         number: dict[int, float] = {}  # our place to the constant there
         written = function.sparsity_out(0).row()  # an entry that is structurally zero is written by no instruction
-        out = [-1] * function.numel_out(0)
+        outputs = [-1] * function.numel_out(0)
 
         def add(code: int, left: int = 0, right: int = 0, constant: float = 0.0) -> int:
             rows.append((code, left, right, constant))
@@ -72,51 +72,51 @@ class Tape(NamedTuple):
 
         for k in range(function.n_instructions()):
             op = function.instruction_id(k)
-            given, to = function.instruction_input(k), function.instruction_output(k)
+            source, target = function.instruction_input(k), function.instruction_output(k)
             if op == ca.OP_OUTPUT:
-                out[written[to[1]]] = at[given[0]]
+                outputs[written[target[1]]] = index_of[source[0]]
                 continue
-            operands = [] if op in (ca.OP_INPUT, ca.OP_CONST) else [at[i] for i in given]
+            operands = [] if op in (ca.OP_INPUT, ca.OP_CONST) else [index_of[i] for i in source]
             if op == ca.OP_INPUT:
-                place = add(INPUT, given[1])
+                index = add(INPUT, source[1])
             elif op == ca.OP_CONST:
-                place = add(CONST, constant=function.instruction_constant(k))
+                index = add(CONST, constant=function.instruction_constant(k))
             elif op in binary:
-                place = add(binary[op], *operands)
+                index = add(binary[op], *operands)
             elif op in unary:
-                place = add(unary[op], operands[0])
+                index = add(unary[op], operands[0])
             elif op == ca.OP_SQ:
-                place = add(MUL, operands[0], operands[0])
+                index = add(MUL, operands[0], operands[0])
             elif op == ca.OP_TWICE:
-                place = add(ADD, operands[0], operands[0])
+                index = add(ADD, operands[0], operands[0])
             elif op == ca.OP_INV:
-                place = add(DIV, add(CONST, constant=1.0), operands[0])
+                index = add(DIV, add(CONST, constant=1.0), operands[0])
             elif op == ca.OP_SQRT:
-                place = add(POWER, operands[0], constant=0.5)
+                index = add(POWER, operands[0], constant=0.5)
             elif op in (ca.OP_POW, ca.OP_CONSTPOW) and operands[1] in number:
-                place = _power(add, operands[0], number[operands[1]])
+                index = _power(add, operands[0], number[operands[1]])
             else:
                 raise ValueError(
                     f"{function.name()} uses casadi operation {op}, which has no power series here: "
                     "expected + - * /, sin, cos, exp, log, sqrt and constant powers"
                 )
-            at[to[0]] = place
-        if -1 in out:
+            index_of[target[0]] = index
+        if -1 in outputs:
             zero = add(CONST)
-            out = [zero if place < 0 else place for place in out]
+            outputs = [zero if index < 0 else index for index in outputs]
         columns = list(zip(*rows, strict=True))
         code, left, right = (np.array(c, dtype=np.int64) for c in columns[:3])
-        return cls(code, left, right, np.array(columns[3], dtype=float), np.array(out, dtype=np.int64))
+        return cls(code, left, right, np.array(columns[3], dtype=float), np.array(outputs, dtype=np.int64))
 
 
 def _power(add: object, base: int, exponent: float) -> int:
     """Compute integer powers as products, which have no singularity at 0; others by a recursion."""
     if exponent != int(exponent) or not 1 <= exponent <= 16:
         return add(POWER, base, constant=exponent)  # type: ignore[operator, no-any-return]
-    place = base
+    index = base
     for _ in range(int(exponent) - 1):
-        place = add(MUL, place, base)  # type: ignore[operator]
-    return place
+        index = add(MUL, index, base)  # type: ignore[operator]
+    return index
 
 
 @jit

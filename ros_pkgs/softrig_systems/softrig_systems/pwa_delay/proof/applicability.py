@@ -82,14 +82,14 @@ def require_no_sliding(system: PwaSystem, h: float, *, samples: int = 200) -> No
             x = z[:n] / max(float(np.linalg.norm(z[:n])), 1e-9) if n > 1 else z[:n]
             step = rng.normal(size=n)
             x_d = x + radius * rng.random() * step / np.linalg.norm(step)
-            here, size = _across(system, i, c, x, x_d)
-            there, other = _across(system, j, c, x, x_d)
-            if here * there < 0.0 and abs(here) > ROUNDING * size and abs(there) > ROUNDING * other:
-                kind = "sliding" if here < 0.0 < there else "repelling"
+            speed_i, size_i = _across(system, i, c, x, x_d)
+            speed_j, size_j = _across(system, j, c, x, x_d)
+            if speed_i * speed_j < 0.0 and abs(speed_i) > ROUNDING * size_i and abs(speed_j) > ROUNDING * size_j:
+                kind = "sliding" if speed_i < 0.0 < speed_j else "repelling"
                 raise NotApplicable(
                     f"{kind} on the face {np.round(c, 3).tolist()} x = 0 of cells {i} and {j}: at x = "
                     f"{np.round(x, 3).tolist()}, x_d = {np.round(x_d, 3).tolist()} the velocities across it are "
-                    f"{here:.3g} and {there:.3g}"
+                    f"{speed_i:.3g} and {speed_j:.3g}"
                 )
 
 

@@ -70,14 +70,14 @@ def bessel_legendre(system: PwaSystem, order: int, *, shortest: float = 1.0, cel
         if cell_terms and E.size:
             p.symmetric(f"U{i}", E.shape[1], positive=True)
         for d in sorted({shortest, 1.0}, reverse=True):
-            whole = x @ system.A[i].T + x_d @ system.Ad[i].T
-            slope, weight = (d * whole, 1.0) if shortest > 0.0 else (whole, d)
+            x_dot = x @ system.A[i].T + x_d @ system.Ad[i].T
+            slope, weight = (d * x_dot, 1.0) if shortest > 0.0 else (x_dot, d)
             eta = np.hstack([now @ F.T, *(weight * o for o in omega)])
             falls = [
                 Term("L", eta, np.hstack([np.hstack([slope, slope_d]) @ F.T, *zeta[:order]])),
                 quadratic("Q", np.hstack([x, slope])),
                 quadratic("Q", np.hstack([x_d, slope_d]), -1.0),
-                quadratic("R", d * whole),
+                quadratic("R", d * x_dot),
                 *(quadratic("R", zeta[k], -(2.0 * k + 1.0)) for k in range(order + 1)),
             ]
             if f"U{i}" in p.unknowns:

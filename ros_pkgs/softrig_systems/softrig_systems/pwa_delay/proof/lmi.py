@@ -120,9 +120,9 @@ class Problem:
         width = self.size + 1  # t last
         row = np.zeros(width)
         for inequality in self.traced:
-            for name, part in self._coefficients(inequality).items():
+            for name, matrix in self._coefficients(inequality).items():
                 u = self.unknowns[name]
-                row[u.start : u.start + u.count] += part[_diagonal(inequality.size)].sum(axis=0)
+                row[u.start : u.start + u.count] += matrix[_diagonal(inequality.size)].sum(axis=0)
         blocks, sides, cones = [sp.csc_matrix(row[None, :])], [np.array([TRACE])], [clarabel.ZeroConeT(1)]
         signed = [k for u in self.unknowns.values() if u.positive for k in range(u.start, u.start + u.count)]
         if signed:
@@ -132,11 +132,11 @@ class Problem:
             cones.append(clarabel.NonnegativeConeT(n))
         for inequality in self.inequalities:
             rows, columns, values = [], [], []
-            for name, part in self._coefficients(inequality).items():
-                r, c = np.nonzero(part)
+            for name, matrix in self._coefficients(inequality).items():
+                r, c = np.nonzero(matrix)
                 rows.append(r)
                 columns.append(c + self.unknowns[name].start)
-                values.append(-part[r, c])
+                values.append(-matrix[r, c])
             diagonal = _diagonal(inequality.size)
             rows.append(diagonal)
             columns.append(np.full(diagonal.size, self.size))
@@ -174,14 +174,14 @@ class Problem:
             u = self.unknowns[name]
             if u.symmetric:
                 a, b = _triangle(u.shape[0])
-                part = left[i][:, a] * right[j][:, b] + left[j][:, a] * right[i][:, b]
+                matrix = left[i][:, a] * right[j][:, b] + left[j][:, a] * right[i][:, b]
                 off = a != b
-                part[:, off] += left[i][:, b[off]] * right[j][:, a[off]] + left[j][:, b[off]] * right[i][:, a[off]]
+                matrix[:, off] += left[i][:, b[off]] * right[j][:, a[off]] + left[j][:, b[off]] * right[i][:, a[off]]
             else:
                 a, b = (k.ravel() for k in np.indices(u.shape))
-                part = left[i][:, a] * right[j][:, b] + left[j][:, a] * right[i][:, b]
-            part *= weight
-            result[name] = result[name] + part if name in result else part
+                matrix = left[i][:, a] * right[j][:, b] + left[j][:, a] * right[i][:, b]
+            matrix *= weight
+            result[name] = result[name] + matrix if name in result else matrix
         return result
 
     def _split(self, x: Array) -> dict[str, Array]:
@@ -207,8 +207,8 @@ class Problem:
         for inequality in self.inequalities:
             total = np.zeros((inequality.size, inequality.size))
             for name, left, right in inequality.terms:
-                part = left @ matrices[name] @ right.T
-                total += part + part.T
+                product = left @ matrices[name] @ right.T
+                total += product + product.T
             values = np.linalg.eigvalsh(total)
             result.append(Eigenvalues(inequality.name, float(values[0]), float(values[-1])))
         for name, u in self.unknowns.items():

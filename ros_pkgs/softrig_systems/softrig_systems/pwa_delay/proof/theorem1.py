@@ -92,12 +92,12 @@ def theorem1(system: PwaSystem, mu: float, *, cell_terms: bool = False) -> Probl
         basis = _null_space(system.A[i], system.Ad[i])
         for d in (0.0, 1.0):
             for rate in (-mu, mu) if mu else (0.0,):
-                inside = _psi(n, F, d, rate)
+                blocks = _psi(n, F, d, rate)
                 if cell_terms and E.size:
                     name = f"U{i} d {d:g} rate {rate:g}"
                     p.symmetric(name, E.shape[1], positive=True)
-                    inside.append(quadratic(name, _columns(n, 0, 1) @ E))
-                negated = [Term(t.name, -basis.T @ t.left, basis.T @ t.right) for t in inside]
+                    blocks.append(quadratic(name, _columns(n, 0, 1) @ E))
+                negated = [Term(t.name, -basis.T @ t.left, basis.T @ t.right) for t in blocks]
                 p.positive(f"(10) cell {i}, d {d:g}, d' {rate:g}", negated)
     return p
 
