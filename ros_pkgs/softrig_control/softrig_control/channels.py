@@ -23,7 +23,7 @@ def frames_of(vectors: Sequence[str]) -> dict[str, str]:
     """
     frames = {}
     for entry in vectors:
-        topic, equals, frame = (part.strip() for part in entry.partition("="))
+        topic, equals, frame = (text.strip() for text in entry.partition("="))
         if not equals:
             raise ValueError(f"vectors: {entry!r}: expected TOPIC = FRAME")
         frames[topic] = frame
@@ -36,7 +36,7 @@ def port_of(
     outward: bool,
     trajectory: bool,
     frame: str | None,
-    words: tuple[str, str],
+    entries: tuple[str, str],
     *,
     held: bool = False,
     safe: Callable[[Cell], float] | None = None,
@@ -53,7 +53,7 @@ def port_of(
         Whether its messages are JointTrajectory.
     frame : str or None
         Of Vector3Stamped messages.
-    words : (str, str)
+    entries : (str, str)
         For errors: where topics of Vector3Stamped are named, and what a channel belongs to.
     safe : callable, optional
         Gives the safe value of a cell.
@@ -70,7 +70,7 @@ def port_of(
     if wrong := [f for f in fields if f not in allowed]:
         raise ValueError(
             f"{topic}: no field {wrong[0]} in its messages, expected {', '.join(allowed)}; topics of "
-            f"JointTrajectory are named in trajectories, those of Vector3Stamped in {words[0]}"
+            f"JointTrajectory are named in trajectories, those of Vector3Stamped in {entries[0]}"
         )
     if frame is not None:
         if set(channels) - set(XYZ):
@@ -78,7 +78,7 @@ def port_of(
         channels = list(XYZ)
     missing = [f"{topic}/{c}/{f}" for f in fields for c in channels if (c, f) not in cells]
     if missing and outward and frame is None:
-        raise ValueError(f"{topic}: the message carries {', '.join(missing)} as well; name a {words[1]} for each")
+        raise ValueError(f"{topic}: the message carries {', '.join(missing)} as well; name a {entries[1]} for each")
     units = {f: [cells[c, f][0] if (c, f) in cells else "" for c in channels] for f in fields}
     more: dict[str, Any] = {"held": held}
     if safe is not None:

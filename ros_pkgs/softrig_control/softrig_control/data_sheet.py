@@ -11,13 +11,13 @@ Given = Mapping[str, float]
 
 
 def check(
-    given: Given, asked: Asked, needed: Iterable[str | tuple[str, ...]], same: Iterable[tuple[str, str]] = ()
+    rated: Given, asked: Asked, needed: Iterable[str | tuple[str, ...]], same: Iterable[tuple[str, str]] = ()
 ) -> None:
     """Ensure that values are known, positive and complete.
 
     Parameters
     ----------
-    given : mapping of str to float
+    rated : mapping of str to float
         Values of a data sheet.
     asked : mapping of str to (str, str)
         All permitted values: description and unit.
@@ -31,24 +31,24 @@ def check(
     ValueError
         The message names the value and what is expected.
     """
-    for name, value in given.items():
+    for name, value in rated.items():
         if name not in asked:
             raise ValueError(f"{name}: not asked for; known are {', '.join(asked)}")
         if not (math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} = {value:g}: expected a number above zero")
     groups = ((names,) if isinstance(names, str) else names for names in needed)
-    missing = [names for names in groups if not given.keys() & set(names)]
+    missing = [names for names in groups if not rated.keys() & set(names)]
     if missing:
         listed = ", ".join(names[0] + (f" (or {', '.join(names[1:])})" if names[1:] else "") for names in missing)
         raise ValueError(
             f"missing {listed}: give what the data sheet has, as {missing[0][0]}=...; known are {', '.join(asked)}"
         )
-    for one, other in same:
-        if one in given and other in given:
-            raise ValueError(f"{one} and {other} mean the same: give one of them")
+    for first, second in same:
+        if first in rated and second in rated:
+            raise ValueError(f"{first} and {second} mean the same: give one of them")
 
 
-def whole(given: Given, name: str) -> int:
+def whole(rated: Given, name: str) -> int:
     """Return a value that is a count.
 
     Raises
@@ -56,9 +56,9 @@ def whole(given: Given, name: str) -> int:
     ValueError
         It is not a whole number.
     """
-    if given[name] != round(given[name]):
-        raise ValueError(f"{name} = {given[name]:g}: expected a whole number")
-    return round(given[name])
+    if rated[name] != round(rated[name]):
+        raise ValueError(f"{name} = {rated[name]:g}: expected a whole number")
+    return round(rated[name])
 
 
 def plausible(name: str, value: float, unit: str, lower: float, upper: float, why: str) -> None:
@@ -75,13 +75,13 @@ def plausible(name: str, value: float, unit: str, lower: float, upper: float, wh
         raise ValueError(f"{name} = {value:.4g} {unit}".rstrip() + f": expected {lower:.3g} to {upper:.3g}; {why}")
 
 
-def head(given: Given, asked: Asked, assumed: Sequence[str], what: str) -> str:
+def head(rated: Given, asked: Asked, assumed: Sequence[str], title: str) -> str:
     """Return the comment at the beginning of a scenario: given and assumed values."""
     messages = [
-        f"#   {name} = {value:g} {asked[name][1]}".rstrip() + f": {asked[name][0]}" for name, value in given.items()
+        f"#   {name} = {value:g} {asked[name][1]}".rstrip() + f": {asked[name][0]}" for name, value in rated.items()
     ]
     noted = [f"#   {line}" for line in assumed]
-    return "\n".join([f"# {what} from the values of a data sheet:", *messages,
+    return "\n".join([f"# {title} from the values of a data sheet:", *messages,
                       "# Assumptions, to be replaced by known values:", *noted])  # fmt: skip
 
 

@@ -74,8 +74,8 @@ class Exact:
         balanced, exponents = exact.balance(rows)
 
         def matrices(bits: int) -> tuple[Integers, Integers]:
-            whole = exact.exponential(balanced, bits)
-            return whole[:-1, :-1], whole[:-1, -1:]
+            matrix = exact.exponential(balanced, bits)
+            return matrix[:-1, :-1], matrix[:-1, -1:]
 
         scaled = [x * Fraction(2) ** (e - exponents[-1]) for x, e in zip(c, exponents[:-1], strict=True)]
         return cls(lru_cache(maxsize=4)(matrices), scaled)

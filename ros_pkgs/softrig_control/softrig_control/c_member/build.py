@@ -120,11 +120,11 @@ def compiled(sources: Sequence[Path], flags: Sequence[str]) -> Path:
     """
     commands, content = [], hashlib.sha256("\0".join((*FLAGS, *flags)).encode())
     for source in sources:
-        own = compiler(next((c for c, suffixes in ELSEWHERE.items() if source.suffix in suffixes.split()), "cc"))
-        if not own.endswith("gfortran"):
-            content.update(_ran([own, "-E", "-P", *flags, str(source)], source))
-        content.update(source.read_bytes() + _identity(own).encode())
-        commands.append(own)
+        cc = compiler(next((c for c, suffixes in ELSEWHERE.items() if source.suffix in suffixes.split()), "cc"))
+        if not cc.endswith("gfortran"):
+            content.update(_ran([cc, "-E", "-P", *flags, str(source)], source))
+        content.update(source.read_bytes() + _identity(cc).encode())
+        commands.append(cc)
     main = next((c for c in commands if c != compiler()), commands[0])
 
     def make(product: Path) -> None:
@@ -153,12 +153,12 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
     methods = PLANT if plant else STEP
     hidden, intrusive = _inspect(library, [f"{prefix}_{name}" for name in ("init", *methods)])
     copy = kept(f"{library.stem.split('-')[0]}-{digest[:32]}.so", lambda product: _write(product, content))
-    own = compiler()
-    text = _ran([own, "-E", "-P", *flags, str(header)], header).decode(errors="replace")
+    cc = compiler()
+    text = _ran([cc, "-E", "-P", *flags, str(header)], header).decode(errors="replace")
     result = _structs(header, prefix, flags, text)
     generated = _generated(header, prefix, methods, result)
     shim = (resources.files(__package__) / "shim.c").read_text()
-    key = hashlib.sha256("\0".join((generated, text, shim, *FLAGS, *flags, _identity(own))).encode()).hexdigest()[:32]
+    key = hashlib.sha256("\0".join((generated, text, shim, *FLAGS, *flags, _identity(cc))).encode()).hexdigest()[:32]
 
     def make(*more: str) -> Callable[[Path], None]:
         def compile_(product: Path) -> None:
@@ -167,7 +167,7 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
             (folder / "shim.c").write_text(shim)
             plain = [flag for flag in flags if flag not in FAST]
             try:
-                _ran([own, *SHIM, *more, *plain, "shim.c", "-o", str(product), "-ldl", "-lm"], header, folder)
+                _ran([cc, *SHIM, *more, *plain, "shim.c", "-o", str(product), "-ldl", "-lm"], header, folder)
             except ValueError as error:
                 if "incompatible" not in str(error):
                     raise
@@ -211,14 +211,14 @@ def _identity(command: str) -> str:
 
 
 def _structs(header: Path, prefix: str, flags: tuple[str, ...], text: str) -> dict[str, Struct]:
-    own = compiler()
-    digest = hashlib.sha256("\0".join((text, *flags, _identity(own))).encode()).hexdigest()[:32]
+    cc = compiler()
+    digest = hashlib.sha256("\0".join((text, *flags, _identity(cc))).encode()).hexdigest()[:32]
 
     def make(product: Path) -> None:
         probe = product.parent / "probe.c"
         probe.write_text(f'#include "{header.resolve()}"\n')
         _ran(
-            [own, "-g", "-fno-eliminate-unused-debug-types", *flags, "-c", "probe.c", "-o", str(product)],
+            [cc, "-g", "-fno-eliminate-unused-debug-types", *flags, "-c", "probe.c", "-o", str(product)],
             header,
             probe.parent,
         )
@@ -247,8 +247,8 @@ def _inspect(library: Path, wanted: Sequence[str]) -> tuple[Hidden | None, tuple
         with library.open("rb") as file:
             elf = ELFFile(file)
             machine, kind = elf["e_machine"], elf["e_type"]
-            here = MACHINES.get(platform.machine())
-            if here is not None and machine != here:
+            native = MACHINES.get(platform.machine())
+            if native is not None and machine != native:
                 raise ValueError(
                     f"{library} is built for {machine.removeprefix('EM_')}, this machine is {platform.machine()}; "
                     "build it with this machine's compiler, or name its `sources`"
@@ -271,7 +271,7 @@ def _inspect(library: Path, wanted: Sequence[str]) -> tuple[Hidden | None, tuple
 
 
 def _hidden(elf: ELFFile, tables: Sequence[SymbolTableSection]) -> Hidden | None:
-    kept = {
+    sections = {
         k: s
         for k, s in enumerate(elf.iter_sections())
         if s.name.split(".")[1:2] in (["data"], ["bss"], ["tdata"], ["tbss"]) and not s.name.startswith(".data.rel.ro")
@@ -280,12 +280,12 @@ def _hidden(elf: ELFFile, tables: Sequence[SymbolTableSection]) -> Hidden | None
     full = any(table.name == ".symtab" for table in tables)
     for table in tables:
         for symbol in table.iter_symbols():
-            of = symbol["st_info"]["type"] in ("STT_OBJECT", "STT_TLS") and symbol["st_shndx"] in kept
-            if of and symbol["st_size"] and not symbol.name.startswith(_RUNTIME) and not _is_others(symbol.name):
+            variable = symbol["st_info"]["type"] in ("STT_OBJECT", "STT_TLS") and symbol["st_shndx"] in sections
+            if variable and symbol["st_size"] and not symbol.name.startswith(_RUNTIME) and not _is_others(symbol.name):
                 names[_readable(symbol.name.rsplit(".", 1)[0])] = symbol["st_size"]
     if names:
         return Hidden(tuple(sorted(names)), sum(names.values()))
-    size = sum(s["sh_size"] for s in kept.values())
+    size = sum(s["sh_size"] for s in sections.values())
     # The start code of a C library keeps up to 16 bytes in each shared library.
     return Hidden((), size) if not full and size > 16 else None
 
@@ -308,7 +308,7 @@ def _readable(name: str) -> str:
 
 
 def _is_others(name: str) -> bool:
-    return any(part in name for part in _OTHERS)
+    return any(prefix in name for prefix in _OTHERS)
 
 
 # the shim's header ------------------------------------------------------------------------------------------------
@@ -407,38 +407,38 @@ def _generated(header: Path, prefix: str, methods: Sequence[str], values: dict[s
     return "\n".join(lines) + "\n"
 
 
-def _put(of: str, leaf: Leaf, k: int, exact: bool) -> str:
+def _put(struct: str, leaf: Leaf, k: int, exact: bool) -> str:
     """Write the line that copies number k into a struct; a value beyond the type is an error, or is limited."""
-    there, value = f"{of}->{leaf.access}", f"v[{k}]"
+    target, value = f"{struct}->{leaf.access}", f"v[{k}]"
     if leaf.kind == "word":
-        base, at = leaf.access[:-1].rsplit("[", 1)
-        return f"    {{ uint32_t word = (uint32_t){value}; {_word(of, base, at, '&word', True)} }}"
+        base, index = leaf.access[:-1].rsplit("[", 1)
+        return f"    {{ uint32_t word = (uint32_t){value}; {_word(struct, base, index, '&word', True)} }}"
     if leaf.kind == "real":
-        return f"    {there} = {value};"
+        return f"    {target} = {value};"
     if leaf.kind == "bool":
-        return f"    {there} = {value} != 0.0;"
+        return f"    {target} = {value} != 0.0;"
     low, high = _limits(leaf)
     if exact:
-        return f"    if (!({value} >= {low} && {value} <= {high})) return SR_RANGE + {k}; {there} = {value};"
-    return f"    {there} = {value} < {low} ? {low} : {value} > {high} ? {high} : nearbyint({value});"
+        return f"    if (!({value} >= {low} && {value} <= {high})) return SR_RANGE + {k}; {target} = {value};"
+    return f"    {target} = {value} < {low} ? {low} : {value} > {high} ? {high} : nearbyint({value});"
 
 
-def _copy_out(of: str, leaf: Leaf, k: int, exact: bool) -> str:
+def _copy_out(struct: str, leaf: Leaf, k: int, exact: bool) -> str:
     """Write the line that copies a number out of a struct."""
-    there = f"{of}->{leaf.access}"
+    source = f"{struct}->{leaf.access}"
     if leaf.kind == "word":
-        base, at = leaf.access[:-1].rsplit("[", 1)
-        return f"    {{ uint32_t word = 0; {_word(of, base, at, '&word', False)} r[{k}] = word; }}"
+        base, index = leaf.access[:-1].rsplit("[", 1)
+        return f"    {{ uint32_t word = 0; {_word(struct, base, index, '&word', False)} r[{k}] = word; }}"
     lossy = (
-        f" if ((double){there} > 9007199254740992.0 || (double){there} < -9007199254740992.0) return SR_RANGE + {k};"
+        f" if ((double){source} > 9007199254740992.0 || (double){source} < -9007199254740992.0) return SR_RANGE + {k};"
     )
-    return f"    r[{k}] = (double){there};" + (lossy if exact and leaf.bytes == 8 and leaf.whole else "")
+    return f"    r[{k}] = (double){source};" + (lossy if exact and leaf.bytes == 8 and leaf.whole else "")
 
 
-def _word(of: str, base: str, at: str, word: str, put: bool) -> str:
-    there = f"(char *)&{of}->{base} + 4 * {at}"
-    size = f"(sizeof {of}->{base} - 4 * {at} < 4 ? sizeof {of}->{base} - 4 * {at} : 4)"
-    return f"memcpy({there}, {word}, {size});" if put else f"memcpy({word}, {there}, {size});"
+def _word(struct: str, base: str, index: str, variable: str, put: bool) -> str:
+    address = f"(char *)&{struct}->{base} + 4 * {index}"
+    size = f"(sizeof {struct}->{base} - 4 * {index} < 4 ? sizeof {struct}->{base} - 4 * {index} : 4)"
+    return f"memcpy({address}, {variable}, {size});" if put else f"memcpy({variable}, {address}, {size});"
 
 
 def _limits(leaf: Leaf) -> tuple[str, str]:

@@ -73,7 +73,7 @@ class Called(Compiled):
         self._arguments, self._results = bytearray(8 * self.n_in), bytearray(8 * self.n_out)
         # addresses alone: the arrays live as long as the buffers, which they keep
         self._arrays = [(ctypes.c_char * len(b)).from_buffer(b) for b in (self._arguments, self._results)]
-        self._tables = tuple((ctypes.c_void_p * 1)(ctypes.addressof(of)) for of in self._arrays)
+        self._tables = tuple((ctypes.c_void_p * 1)(ctypes.addressof(array)) for array in self._arrays)
         self._pack, self._unpack = struct.Struct(f"{self.n_in}d").pack_into, struct.Struct(f"{self.n_out}d").unpack
 
     def __call__(self, values: Sequence[float]) -> Row:
@@ -142,17 +142,17 @@ class Apart:
     def __init__(self, built: Built, methods: Sequence[str], params: Row, seconds: float) -> None:
         self._seconds, self._methods = seconds, tuple(methods)
         self._counts = [counts(built, m) for m in methods]
-        (reading, theirs), (ours, writing), (printed, saying) = os.pipe(), os.pipe(), os.pipe()
+        (reading, write_end), (read_end, writing), (printed, saying) = os.pipe(), os.pipe(), os.pipe()
         # A library that reads nothing, or prints more than the pipe holds, must not block the run.
         for descriptor in (writing, printed, saying):
             os.set_blocking(descriptor, False)
-        command = [str(built.program), str(built.library), str(ours), str(theirs)]
+        command = [str(built.program), str(built.library), str(read_end), str(write_end)]
         # The library has its own process group: Ctrl-C is for the run, and processes that the library starts end with
         # it.
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=2, stderr=saying, pass_fds=[ours, theirs], process_group=0
+            command, stdin=subprocess.DEVNULL, stdout=2, stderr=saying, pass_fds=[read_end, write_end], process_group=0
         )
-        for descriptor in (ours, theirs, saying):
+        for descriptor in (read_end, write_end, saying):
             os.close(descriptor)
         self._reading, self._writing, self._printed = reading, writing, printed
         self.end = weakref.finalize(self, _ended, self._process, reading, writing, printed)
@@ -161,11 +161,11 @@ class Apart:
 
     def call(self, method: str, values: Row) -> Row:
         """Call it as `Called`, with the address of the constants filled in."""
-        which = self._methods.index(method)
-        return self._ask(which, (0.0, *values), self._counts[which].gives)
+        number = self._methods.index(method)
+        return self._ask(number, (0.0, *values), self._counts[number].gives)
 
-    def _ask(self, which: int, values: Row, count: int) -> Row:
-        request, data = struct.pack(f"=i{len(values)}d", which, *values), b""
+    def _ask(self, number: int, values: Row, count: int) -> Row:
+        request, data = struct.pack(f"=i{len(values)}d", number, *values), b""
         try:
             while request:
                 self._wait(select.POLLOUT)
@@ -180,11 +180,11 @@ class Apart:
             raise RunError(self._ending()) from None
         return struct.unpack(f"{count}d", data)
 
-    def _wait(self, what: int) -> None:
+    def _wait(self, event: int) -> None:
         """Wait until the process is ready to receive bytes or has sent some."""
         # `select` cannot wait for descriptors beyond 1,024.
         poll = select.poll()
-        poll.register(self._writing if what == select.POLLOUT else self._reading, what)
+        poll.register(self._writing if event == select.POLLOUT else self._reading, event)
         if not poll.poll(self._seconds * 1e3):
             self.end()
             raise RunError(f"gave no answer within {self._seconds:g} s")

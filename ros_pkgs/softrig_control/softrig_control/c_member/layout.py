@@ -86,12 +86,12 @@ def structs(compiled: Path, prefix: str) -> dict[str, Struct]:
 
 
 def _struct(die: DIE, params: str) -> Struct:
-    whole = _stripped(die)
-    if whole.tag not in ("DW_TAG_structure_type", "DW_TAG_class_type"):
+    struct = _stripped(die)
+    if struct.tag not in ("DW_TAG_structure_type", "DW_TAG_class_type"):
         raise LayoutError(f"{_name(die)} is no struct")
     leaves: list[Leaf] = []
     constants: list[str] = []
-    for member in _members(whole):
+    for member in _members(struct):
         name = _name(member)
         if name in CONSTANTS or _name(_type(member)) == params:
             constants.append(name)
@@ -102,60 +102,60 @@ def _struct(die: DIE, params: str) -> Struct:
     return Struct(tuple(leaves), tuple(constants))
 
 
-def _leaves(member: DIE, where: str, access: str) -> Iterator[Leaf]:
+def _leaves(member: DIE, context: str, access: str) -> Iterator[Leaf]:
     if "DW_AT_bit_size" in member.attributes or "DW_AT_data_bit_offset" in member.attributes:
-        raise LayoutError(f"{where}{access} is a bit-field; expected a whole type such as uint8_t")
-    yield from _of(_type(member), where, access)
+        raise LayoutError(f"{context}{access} is a bit-field; expected a whole type such as uint8_t")
+    yield from _of(_type(member), context, access)
 
 
-def _of(die: DIE, where: str, access: str) -> Iterator[Leaf]:
+def _of(die: DIE, context: str, access: str) -> Iterator[Leaf]:
     die = _stripped(die)
     size = die.attributes["DW_AT_byte_size"].value if "DW_AT_byte_size" in die.attributes else 0
     if die.tag == "DW_TAG_base_type":
-        yield Leaf(access, _kind(die, size, f"{where}{access}"), size)
+        yield Leaf(access, _kind(die, size, f"{context}{access}"), size)
     elif die.tag == "DW_TAG_enumeration_type":
         yield Leaf(access, "signed", size)
     elif die.tag in ("DW_TAG_structure_type", "DW_TAG_class_type"):
         for member in _members(die):
             name = _name(member)
             # C reaches the members of an anonymous struct without a name in between.
-            yield from _leaves(member, where, f"{access}.{name}" if name else access)
+            yield from _leaves(member, context, f"{access}.{name}" if name else access)
     elif die.tag == "DW_TAG_union_type":
         members = _members(die)
         if len(members) == 1:
-            yield from _leaves(members[0], where, f"{access}.{_name(members[0])}")
+            yield from _leaves(members[0], context, f"{access}.{_name(members[0])}")
         else:
             # Which member of a union is valid is not known here, so its bytes are carried as they are.
             yield from (Leaf(f"{access}[{k}]", "word", WORD) for k in range(-(-size // WORD)))
     elif die.tag == "DW_TAG_array_type":
-        yield from _array(die, where, access)
+        yield from _array(die, context, access)
     else:
-        what = (
+        kind = (
             "a pointer" if die.tag == "DW_TAG_pointer_type" else str(die.tag).removeprefix("DW_TAG_").replace("_", " ")
         )
         raise LayoutError(
-            f"{where}{access} is {what}; a state, an input or an output holds numbers only (constants that NODE_init "
+            f"{context}{access} is {kind}; a state, an input or an output holds numbers only (constants that NODE_init "
             f"makes may be pointers in a member {CONSTANTS[0]!r})"
         )
 
 
-def _array(die: DIE, where: str, access: str) -> Iterator[Leaf]:
+def _array(die: DIE, context: str, access: str) -> Iterator[Leaf]:
     counts = []
     for rank in die.iter_children():
-        at = rank.attributes
-        if "DW_AT_count" in at:
-            counts.append(at["DW_AT_count"].value)
-        elif "DW_AT_upper_bound" in at and isinstance(at["DW_AT_upper_bound"].value, int):
-            counts.append(at["DW_AT_upper_bound"].value + 1)
+        attributes = rank.attributes
+        if "DW_AT_count" in attributes:
+            counts.append(attributes["DW_AT_count"].value)
+        elif "DW_AT_upper_bound" in attributes and isinstance(attributes["DW_AT_upper_bound"].value, int):
+            counts.append(attributes["DW_AT_upper_bound"].value + 1)
         else:
-            raise LayoutError(f"{where}{access} is an array without a fixed length")
+            raise LayoutError(f"{context}{access} is an array without a fixed length")
     if _product(counts) > LARGEST:
-        raise LayoutError(f"{where}{access} holds {_product(counts)} numbers, expected at most {LARGEST}")
-    places = [""]
+        raise LayoutError(f"{context}{access} holds {_product(counts)} numbers, expected at most {LARGEST}")
+    elements = [""]
     for count in counts:
-        places = [f"{place}[{k}]" for place in places for k in range(count)]
-    for place in places:
-        yield from _of(_type(die), where, f"{access}{place}")
+        elements = [f"{element}[{k}]" for element in elements for k in range(count)]
+    for element in elements:
+        yield from _of(_type(die), context, f"{access}{element}")
 
 
 def _product(counts: list[int]) -> int:
@@ -165,7 +165,7 @@ def _product(counts: list[int]) -> int:
     return result
 
 
-def _kind(die: DIE, size: int, where: str) -> Kind:
+def _kind(die: DIE, size: int, context: str) -> Kind:
     encoding = die.attributes["DW_AT_encoding"].value
     if encoding in _REAL and size in (4, 8):
         return "real"
@@ -173,7 +173,7 @@ def _kind(die: DIE, size: int, where: str) -> Kind:
         return "bool"
     if encoding in _WHOLE and size <= 8:
         return "signed" if _WHOLE[encoding] else "unsigned"
-    raise LayoutError(f"{where} is {_name(die)}; expected float, double, bool or a whole number of at most 64 bits")
+    raise LayoutError(f"{context} is {_name(die)}; expected float, double, bool or a whole number of at most 64 bits")
 
 
 def _members(die: DIE) -> list[DIE]:

@@ -260,9 +260,9 @@ class _C(Block[CParams]):
         """Return the members of NODE_in, in their order."""
         return tuple(_value(inputs[name], i) for name, i in self._reads)
 
-    def _answer(self, values: Row, at: int) -> dict[str, Row]:
-        """Return the outputs in the result of a call; `at` is the start of NODE_out."""
-        return {name: tuple(values[at + k] for k in places) for name, places in self._publishes}
+    def _answer(self, values: Row, first: int) -> dict[str, Row]:
+        """Return the outputs in the result of a call; `first` is the start of NODE_out."""
+        return {name: tuple(values[first + k] for k in indices) for name, indices in self._publishes}
 
     # a tick in another process ------------------------------------------------------------------------------------
 
@@ -314,16 +314,16 @@ def _rows(side: Side) -> tuple[tuple[str, tuple[int, ...]], ...]:
     """Return of each port the members of its values, in their order."""
     results = []
     for k, port in enumerate(side.ports):
-        places = {i: at for at, (of, i) in enumerate(side.places) if of == k}
-        results.append((port.name, tuple(places[i] for i in range(port.size))))
+        index_of = {i: index for index, (port_number, i) in enumerate(side.places) if port_number == k}
+        results.append((port.name, tuple(index_of[i] for i in range(port.size))))
     return tuple(results)
 
 
-def _value(given: Any, i: int) -> float:
+def _value(value: Any, i: int) -> float:
     """Return a member of NODE_in: a value of a port, or whether it has one."""
     if i < 0:
-        return 0.0 if given is None else 1.0
-    return 0.0 if given is None else given[i]
+        return 0.0 if value is None else 1.0
+    return 0.0 if value is None else value[i]
 
 
 class CController(_C, Block[CParams]):

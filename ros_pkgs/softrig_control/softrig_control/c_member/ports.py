@@ -169,7 +169,7 @@ def table(
             outward,
             topic in trajectories,
             frames.get(topic),
-            words=("vectors", "member"),
+            entries=("vectors", "member"),
             held=topic in held and not outward,
         )
         for (channel, field), (_, name) in cells.items():
@@ -194,22 +194,22 @@ def values_of(
     """
     names, result = {leaf.access: leaf for leaf in leaves}, dict[str, float]()
     for entry in entries:
-        parts = VALUE.fullmatch(entry.strip())
-        if parts is None:
+        match = VALUE.fullmatch(entry.strip())
+        if match is None:
             raise ValueError(
                 f"{entry!r}: expected MEMBER [UNIT] (LOW..HIGH) = VALUE, such as kp [V s/rad] (0..10) = 2.5"
             )
-        name = parts["name"]
+        name = match["name"]
         if name not in names:
             raise ValueError(f"{entry!r}: {struct} has no member {name!r}{closest(name, names)}; it has {_list(names)}")
         if name in result:
             raise ValueError(f"{entry!r}: {name} is set twice")
         try:
-            value = float(parts["value"])
-            low, high = float(parts["low"] or "-inf"), float(parts["high"] or "inf")
+            value = float(match["value"])
+            low, high = float(match["low"] or "-inf"), float(match["high"] or "inf")
         except ValueError as error:
             raise ValueError(f"{entry!r}: {error}") from None
-        unit = parts["unit"] or "1"
+        unit = match["unit"] or "1"
         if not (abs(value) < float("inf") and low <= value <= high):
             raise ValueError(f"{entry!r}: {value:g} {unit} is beyond {low:g} to {high:g}, or no finite number")
         if names[name].whole and value != int(value):

@@ -84,9 +84,9 @@ def _answers(apart: Apart, built: Built, methods: Sequence[str], order: Sequence
     result = {}
     for value in order:
         row = (float(PERIOD), *apart.first)
-        given = (value,) * len(built.structs["in"].leaves)
+        inputs = (value,) * len(built.structs["in"].leaves)
         answers: list[float] = []
         for method in methods:
-            answers += apart.call(method, row if method == "outputs" else (*row, *given))
+            answers += apart.call(method, row if method == "outputs" else (*row, *inputs))
         result[value] = tuple(map(str, answers))
     return result  # type: ignore[return-value]

@@ -46,12 +46,12 @@ class Isolated:
         self._launch()
 
     def _launch(self) -> None:
-        self._pipe, theirs = Pipe()
+        self._pipe, child_end = Pipe()
         code = "from softrig_control.fmu.child import main; main()"
-        with theirs:
+        with child_end:
             # -P: nothing is imported from the current directory, which may belong to anybody.
-            command = [sys.executable, "-P", "-c", code, str(theirs.fileno()), str(os.getpid())]
-            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
+            command = [sys.executable, "-P", "-c", code, str(child_end.fileno()), str(os.getpid())]
+            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[child_end.fileno()])
         self._poll = select.poll()
         self._poll.register(self._pipe.fileno(), select.POLLIN)
         self._end = weakref.finalize(self, _kill, self._process, self._pipe)

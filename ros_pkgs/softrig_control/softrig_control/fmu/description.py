@@ -55,8 +55,8 @@ class Unit:
     @staticmethod
     def of(name: str) -> Unit:
         """Return a unit that is known by its name alone."""
-        factor, parts = base(name)
-        return Unit(name, factor, 0.0, tuple(sorted(parts.items())))
+        factor, exponents = base(name)
+        return Unit(name, factor, 0.0, tuple(sorted(exponents.items())))
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ class Variable:
         """
         if not self.dims:
             raise ValueError(f"{self.name} is one value, no array: expected {self.name}")
-        inside = len(indices) == len(self.dims) and all(1 <= i <= n for i, n in zip(indices, self.dims, strict=True))
-        if not inside:
+        exists = len(indices) == len(self.dims) and all(1 <= i <= n for i, n in zip(indices, self.dims, strict=True))
+        if not exists:
             sizes = " x ".join(map(str, self.dims))
             raise ValueError(f"{self.name} is an array of {sizes} values, expected {self.name}[{_example(self.dims)}]")
         element = 0
@@ -130,10 +130,10 @@ class Variable:
         ValueError
             One is none of its type, or there are neither one nor as many as elements.
         """
-        given: list[Any] = [number_in("start", self.kind, text) for text in (self.start or "0").split()]
-        if len(given) not in (1, self.count):
-            raise ValueError(f"{len(given)} start values, expected one or {self.count}")
-        return given if len(given) == self.count else given * self.count
+        values: list[Any] = [number_in("start", self.kind, text) for text in (self.start or "0").split()]
+        if len(values) not in (1, self.count):
+            raise ValueError(f"{len(values)} start values, expected one or {self.count}")
+        return values if len(values) == self.count else values * self.count
 
 
 def number_in(name: str, kind: str, text: str) -> float | int | bool:
@@ -236,17 +236,17 @@ def unpacked(path: Path) -> Path:
         return folder
     folder.parent.mkdir(parents=True, exist_ok=True)
     # Unpacked beside the target and then renamed, so that no other node finds half of the content.
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix="unpacking_") as place:
-        inside = Path(place, "fmu")
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix="unpacking_") as scratch:
+        content = Path(scratch, "fmu")
         try:
             with zipfile.ZipFile(path) as archive:
                 _check_content(archive)
-                archive.extractall(inside)
+                archive.extractall(content)
         except (OSError, ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise ParameterError(f"parameter fmu = {str(path)!r} cannot be unpacked: {error}") from None
         # Another node may have unpacked the same FMU in the meantime; its folder has the same content.
         with contextlib.suppress(OSError):
-            inside.rename(folder)
+            content.rename(folder)
     return folder
 
 
@@ -256,10 +256,10 @@ def _check_content(archive: zipfile.ZipFile) -> None:
     if size > LARGEST:
         raise ValueError(f"{size / 1e6:.0f} MB of content, expected at most {LARGEST / 1e6:.0f} MB")
     for entry in archive.infolist():
-        parts = entry.filename.split("/")
-        if len(parts) > DEEPEST:
-            raise ValueError(f"{entry.filename[:60]}... is {len(parts)} folders deep, expected at most {DEEPEST}")
-        if "\\" in entry.filename or ":" in entry.filename or parts[0] == "" or ".." in parts:
+        names = entry.filename.split("/")
+        if len(names) > DEEPEST:
+            raise ValueError(f"{entry.filename[:60]}... is {len(names)} folders deep, expected at most {DEEPEST}")
+        if "\\" in entry.filename or ":" in entry.filename or names[0] == "" or ".." in names:
             raise ValueError(f"{entry.filename!r} is no path inside it")
 
 
@@ -285,29 +285,29 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         if version and version[1] != "2.0" and not version[1].startswith("3.0"):
             raise Unfit(f"{path.name} is of FMI {version[1]}, expected 2.0 or 3.0")
         notes = FMI.check(names_of(content), path.name)
-        own = attributes(content)
+        texts = attributes(content)
         model = read_model_description(str(path), validate=False)
     except (Unfit, ScenarioError):
         raise
     # zipfile and lxml raise errors of many kinds, and FMPy raises bare Exceptions.
     except Exception as error:
         raise ValueError(f"{path} cannot be read as an FMU: {type(error).__name__}: {error}") from None
-    here = platform if model.fmiVersion == "2.0" else platform_tuple
+    machine = platform if model.fmiVersion == "2.0" else platform_tuple
     built = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
-    if here not in built:
-        raise ValueError(f"{path.name} has no binary for this machine, {here}; it has {', '.join(built) or 'none'}")
+    if machine not in built:
+        raise ValueError(f"{path.name} has no binary for this machine, {machine}; it has {', '.join(built) or 'none'}")
     units: dict[str, Unit] = {}
     for u in model.unitDefinitions:
         if u.name in units:
             raise ValueError(f"{path.name}: two units are called {u.name!r}")
         units[u.name] = _unit(u, path.name)
-    kinds = KINDS if model.fmiVersion == "2.0" else KINDS3
+    types = KINDS if model.fmiVersion == "2.0" else KINDS3
     variables: dict[str, Variable] = {}
     for v in model.modelVariables:
         if v.name in variables:
             raise ValueError(f"{path.name}: two variables are called {v.name!r}, so which one is meant is unknown")
         try:
-            variables[v.name] = _variable(v, kinds.get(v.type, ""), units, own)
+            variables[v.name] = _variable(v, types.get(v.type, ""), units, texts)
         except (ValueError, TypeError, AttributeError) as error:
             raise ValueError(f"{path.name}: variable {v.name!r}: {error}") from None
     results = {
@@ -319,7 +319,7 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     return Description(
         path,
         model.fmiVersion,
-        tuple(name for name, there in results.items() if there is not None),
+        tuple(name for name, present in results.items() if present is not None),
         bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
         variables,
         _digest(path),
@@ -327,7 +327,7 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     )
 
 
-def _variable(v: Any, kind: str, units: Mapping[str, Unit], own: Mapping[str, Mapping[str, str]]) -> Variable:
+def _variable(v: Any, kind: str, units: Mapping[str, Unit], attributes_of: Mapping[str, Mapping[str, str]]) -> Variable:
     """Create a variable from FMPy's.
 
     Raises
@@ -335,7 +335,7 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], own: Mapping[str, Ma
     ValueError
         A number of it is none, or it has another number of start values than of elements.
     """
-    unit = _declared(v, "unit", own)
+    unit = _declared(v, "unit", attributes_of)
     known = None if not unit else units.get(unit) or Unit.of(_ours(unit))
     sizes = [d.start if d.start is not None else d.variable.start for d in v.dimensions or ()]
     dims = tuple(_whole("Dimension", size) for size in sizes)
@@ -345,7 +345,7 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], own: Mapping[str, Ma
     least, largest = (
         None if text is None or kind in ("String", "") else _real(name, text)
         for name in ("min", "max")
-        for text in (_declared(v, name, own),)
+        for text in (_declared(v, name, attributes_of),)
     )
     if least is not None and largest is not None and least > largest:
         raise ValueError(f"min = {least:g} is above max = {largest:g}")
@@ -360,7 +360,7 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], own: Mapping[str, Ma
         known,
         v.variability == "tunable",
         dims,
-        _declared(v, "relativeQuantity", own) in (True, "true", "1"),
+        _declared(v, "relativeQuantity", attributes_of) in (True, "true", "1"),
         v.variability == "constant",
         tuple((item.name, _whole("value of its type", item.value)) for item in getattr(v.declaredType, "items", ())),
     )
@@ -382,9 +382,9 @@ def _whole(name: str, text: object) -> int:
     return int(str(text))
 
 
-def _declared(variable: Any, name: str, own: Mapping[str, Mapping[str, str]]) -> Any:
+def _declared(variable: Any, name: str, texts: Mapping[str, Mapping[str, str]]) -> Any:
     """Return an attribute of a variable unchanged, or that of its declared type if the variable has none."""
-    result = own.get(variable.name, {}).get(name) or getattr(variable, name, None)
+    result = texts.get(variable.name, {}).get(name) or getattr(variable, name, None)
     return getattr(variable.declaredType, name, None) if result in (None, "") else result
 
 
@@ -402,26 +402,26 @@ def _unit(value: Any, file: str) -> Unit:
     ValueError
         A number of it is none, or the factor is not above zero.
     """
-    name, given = _ours(value.name), value.baseUnit
-    if given is None:
+    name, defined = _ours(value.name), value.baseUnit
+    if defined is None:
         return Unit.of(name)
     try:
-        powers = {b: _whole(b, getattr(given, b) or 0) for b in BASES}
-        factor, offset = _real("factor", given.factor), _real("offset", given.offset)
+        powers = {b: _whole(b, getattr(defined, b) or 0) for b in BASES}
+        factor, offset = _real("factor", defined.factor), _real("offset", defined.offset)
     except ValueError as error:
         raise ValueError(f"{file}: unit {value.name!r}: {error}") from None
     if not (0.0 < factor < math.inf and abs(offset) < math.inf):
         raise ValueError(
             f"{file}: unit {value.name!r}: factor {factor:g} and offset {offset:g}, expected a factor above 0"
         )
-    parts = tuple(sorted((b, power) for b, power in powers.items() if power))
-    ours = Unit.of(name)
+    exps = tuple(sorted((b, power) for b, power in powers.items() if power))
+    named = Unit.of(name)
     # The unit equals one of SI under a name that is unknown here, so the name of SI replaces it.
     if (factor, offset) == (1.0, 0.0):
-        return ours if ours.base == parts and ours.factor == 1.0 else Unit(text(dict(parts)), 1.0, 0.0, parts)
-    same = ours.base == parts and math.isclose(ours.factor, factor, rel_tol=PRINTED) and not offset
-    known = all(part in BASES for part, _ in ours.base)
-    return Unit(name, factor, offset, parts, odd=known and not same)
+        return named if named.base == exps and named.factor == 1.0 else Unit(text(dict(exps)), 1.0, 0.0, exps)
+    same = named.base == exps and math.isclose(named.factor, factor, rel_tol=PRINTED) and not offset
+    known = all(unit in BASES for unit, _ in named.base)
+    return Unit(name, factor, offset, exps, odd=known and not same)
 
 
 def conversion(variable: Variable, wanted: str) -> tuple[float, float]:
@@ -440,10 +440,10 @@ def conversion(variable: Variable, wanted: str) -> tuple[float, float]:
     if variable.unit is None:
         return 1.0, 0.0
     if variable.unit.odd and not wanted:
-        name, inside = variable.unit.name, text(dict(variable.unit.base)) or "1"
+        name, base_text = variable.unit.name, text(dict(variable.unit.base)) or "1"
         raise ValueError(
-            f"{variable.name} is in {name!r}, which the FMU defines as {variable.unit.factor:g} {inside} and softrig "
-            f"does not; write the unit of the channel before the =, such as [{inside}]"
+            f"{variable.name} is in {name!r}, which the FMU defines as {variable.unit.factor:g} {base_text} and softrig "
+            f"does not; write the unit of the channel before the =, such as [{base_text}]"
         )
     if not wanted or (not variable.unit.odd and powers(wanted) == powers(variable.unit.name)):
         return 1.0, 0.0

@@ -74,22 +74,22 @@ def export(rig: Rig, node: str, folder: Path, native: int = 0) -> Path:
     from .slave import content
 
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as place:
-        script = Path(place, f"softrig_{node}.py")
+    with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as scratch:
+        script = Path(scratch, f"softrig_{node}.py")
         script.write_text(_SCRIPT.format(node=node, package=member.package, executable=member.executable))
-        what = Path(place, "node.json")
-        what.write_text(json.dumps(content(member, rig.scenario.seed, start), indent=1), encoding="utf-8")
-        path, made = folder / f"{node}.fmu", Path(place, f"{node}.fmu")
+        description = Path(scratch, "node.json")
+        description.write_text(json.dumps(content(member, rig.scenario.seed, start), indent=1), encoding="utf-8")
+        path, fmu = folder / f"{node}.fmu", Path(scratch, f"{node}.fmu")
         code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]], "
         code += "**dict.fromkeys(sys.argv[4:], True))"
         # The builder imports the script by its name and leaves its folder on `sys.path`, so it has its own process.
-        command = [sys.executable, "-P", "-c", code, str(script), str(made), str(what), *_can(member)]
+        command = [sys.executable, "-P", "-c", code, str(script), str(fmu), str(description), *_can(member)]
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
         if done.returncode:
             raise ScenarioError(f"node {node}: no FMU: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}")
         with naming(path):
             # Moved into place, so that a reader never finds half of the file.
-            shutil.move(made, path)
+            shutil.move(fmu, path)
     return path
 
 
@@ -113,10 +113,10 @@ def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
     return result
 
 
-def _check_text(member: Member, where: str, text: str) -> None:
+def _check_text(member: Member, label: str, text: str) -> None:
     if _NOT_IN_XML.search(text):
         raise ScenarioError(
-            f"node {member.name}: {where}: {text[:100]!r} has a sign that XML does not have; expected printable text"
+            f"node {member.name}: {label}: {text[:100]!r} has a sign that XML does not have; expected printable text"
         )
 
 

@@ -98,9 +98,9 @@ class Instance:
             if isinstance(error, Refusal):
                 raise Refusal(f"{error}{message}") from None
             name, status = getattr(error, "function", ""), getattr(error, "status", 0)
-            kinds = {2: "discarded it", 3: "error", 4: "fatal error"}
-            what = f"{name}: {kinds.get(status, f'status {status}')}" if name else f"{type(error).__name__}: {error}"
-            raise Refusal(what + message) from None
+            texts = {2: "discarded it", 3: "error", 4: "fatal error"}
+            reason = f"{name}: {texts.get(status, f'status {status}')}" if name else f"{type(error).__name__}: {error}"
+            raise Refusal(reason + message) from None
 
     def _begin(self) -> Numbers:
         from fmpy.simulation import instantiate_fmu
@@ -112,9 +112,9 @@ class Instance:
         fmu: Any = instantiate_fmu(self.plan.folder, self._model, kind, debug_logging=self.plan.log, logger=self._log)
         self._fmu = fmu
         experiment = self._model.defaultExperiment
-        given = experiment.tolerance if experiment is not None else None
+        stated = experiment.tolerance if experiment is not None else None
         # The FMU's own solver uses the tolerance with which its author checked it.
-        tolerance = None if given is None else float(given)
+        tolerance = None if stated is None else float(stated)
         if not self._three:
             fmu.setupExperiment(tolerance=tolerance, startTime=0.0)
         self._tune(self.plan.start)
@@ -128,16 +128,16 @@ class Instance:
         return self._outputs()
 
     def _tune(self, values: Sequence[tuple[str, int, tuple[Any, ...]]]) -> None:
-        for name, reference, given in values:
-            getattr(self._fmu, f"set{name}")([reference], list(given))
+        for name, reference, new in values:
+            getattr(self._fmu, f"set{name}")([reference], list(new))
 
     def _put(self, values: Sequence[float]) -> None:
         for name, cells in self._set.items():
             # An array is set as a whole, so its elements without a port keep the values that they have.
-            given = self._read(name, cells) if cells.arrays else [0.0] * cells.total
-            for k, at in cells.where:
-                given[at] = _typed(name, values[k])
-            getattr(self._fmu, f"set{name}")(cells.references, given)
+            array = self._read(name, cells) if cells.arrays else [0.0] * cells.total
+            for k, index in cells.where:
+                array[index] = _typed(name, values[k])
+            getattr(self._fmu, f"set{name}")(cells.references, array)
 
     def _read(self, name: str, cells: Cells) -> list[Any]:
         get = getattr(self._fmu, f"get{name}")
@@ -148,8 +148,8 @@ class Instance:
         result = [0.0] * len(self.plan.outputs)
         for name, cells in self._get.items():
             values = self._read(name, cells)
-            for k, at in cells.where:
-                result[k] = float(values[at])
+            for k, index in cells.where:
+                result[k] = float(values[index])
         return tuple(result)
 
     def _advance(self, start: float, end: float, values: Numbers) -> Numbers:
@@ -235,14 +235,14 @@ class Instance:
         """Settle the discrete states of an event, then return to continuous time."""
         update = self._fmu.updateDiscreteStates if self._three else self._fmu.newDiscreteStates
         for _ in range(EVENTS):
-            more, ends, _, _, defined, at = update()
+            more, ends, _, _, defined, next_event = update()
             if ends:
                 raise Refusal("asks to end the simulation")
             if not more:
                 break
         else:
             raise Refusal(f"an event does not settle in {EVENTS} iterations")
-        self._next = at if defined else float("inf")
+        self._next = next_event if defined else float("inf")
         self._fmu.enterContinuousTimeMode()
         if self._states:
             self._fmu.getContinuousStates(self._x, self._states)
@@ -318,8 +318,8 @@ def _grouped(cells: Sequence[Cell]) -> dict[str, Cells]:
             if kind == name:
                 counts.setdefault(reference, count)
         begins = dict(zip(counts, accumulate(counts.values(), initial=0), strict=False))
-        where = [(k, begins[r] + element) for k, (kind, r, element, _) in enumerate(cells) if kind == name]
-        result[name] = Cells(list(counts), sum(counts.values()), where, any(n > 1 for n in counts.values()))
+        indices = [(k, begins[r] + element) for k, (kind, r, element, _) in enumerate(cells) if kind == name]
+        result[name] = Cells(list(counts), sum(counts.values()), indices, any(n > 1 for n in counts.values()))
     return result
 
 

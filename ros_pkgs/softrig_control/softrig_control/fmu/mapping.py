@@ -95,25 +95,25 @@ def mapped(
             turn = conversion(variable, match["unit"] or "")
         except ValueError as error:
             raise ValueError(f"{entry!r}: {error}") from None
-        own = variable.unit.name or "1" if variable.unit else "1" if variable.kind == "Boolean" else ""
+        default = variable.unit.name or "1" if variable.unit else "1" if variable.kind == "Boolean" else ""
         cells = topics.setdefault(match["topic"], {})
         if (match["channel"], match["field"]) in cells:
             raise ValueError(f"{entry!r}: this place has a variable already")
-        cells[match["channel"], match["field"]] = (match["unit"] or own, variable, turn)
+        cells[match["channel"], match["field"]] = (match["unit"] or default, variable, turn)
     if not outward and len({v.name for cells in topics.values() for _, v, _ in cells.values()}) < len(entries):
         raise ValueError("inputs: a variable is named twice")
     ports, places = [], []
     for k, (topic, cells) in enumerate(topics.items()):
         port = port_of(
-            topic, cells, outward, topic in trajectories, frames.get(topic), words=("frames", "variable"), safe=_safe
+            topic, cells, outward, topic in trajectories, frames.get(topic), entries=("frames", "variable"), safe=_safe
         )
         names = port.channels
         for (channel, field), (_, variable, turn) in cells.items():
             places.append(Place(variable, k, port.fields.index(field) * len(names) + names.index(channel), *turn))
         ports.append(port)
-    for given in (*trajectories, *frames):
-        if not re.fullmatch(r"\S+", given):
-            raise ValueError(f"{given!r} is no topic")
+    for name in (*trajectories, *frames):
+        if not re.fullmatch(r"\S+", name):
+            raise ValueError(f"{name!r} is no topic")
     return Mapped(tuple(ports), tuple(places))
 
 
@@ -142,13 +142,13 @@ def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Varia
     """
     results: dict[str, tuple[Variable, float | int | bool | str]] = {}
     for entry in entries:
-        name, equals, value = (part.strip() for part in entry.partition("="))
+        name, equals, value = (text.strip() for text in entry.partition("="))
         if not equals:
             raise ValueError(f"{entry!r}: expected VARIABLE = VALUE")
         variable = unit.variable(name)
         if variable.causality in UNSET or variable.constant:
-            what = "constant" if variable.constant else variable.causality
-            raise ValueError(f"{entry!r}: {name} is {what} of {unit.path.name}, it cannot be set")
+            role = "constant" if variable.constant else variable.causality
+            raise ValueError(f"{entry!r}: {name} is {role} of {unit.path.name}, it cannot be set")
         if name in results:
             raise ValueError(f"{entry!r}: {name} is set twice")
         results[name] = (variable, _value(variable, value))

@@ -78,26 +78,26 @@ def export_native(rig: Rig, node: str, folder: Path, start: Mapping[str, Sequenc
 
     member, done = member_of(rig, node), c_of(rig, node, rows=ROWS, drawn=DRAWN)
     variables = _variables(member, done, start)
-    own = resources.files(__package__)
+    sources = resources.files(__package__)
     headers = Path(fmpy.__file__).parent / "c-code"
     files = {
         n: t for n, t in done.files.items() if n.endswith((".h", ".c")) and not n.endswith(("_replay.c", "_main.c"))
     }
     files |= {p.name: p.read_text() for p in headers.glob(f"{HEADERS[version]}*.h")}
-    files["native_model.c"] = (own / "native_model.c").read_text()
+    files["native_model.c"] = (sources / "native_model.c").read_text()
     files["model.h"] = _model(member, done, variables)
     files["variables.h"] = _places(member, variables, start)
-    wrapper = files[f"native_fmi{version}.c"] = (own / f"native_fmi{version}.c").read_text()
+    wrapper = files[f"native_fmi{version}.c"] = (sources / f"native_fmi{version}.c").read_text()
     compiled = [f"native_fmi{version}.c", *(n for n in done.files if n.endswith(".c") and n in files)]
     if version == 3:
         files["fmi3_none.c"] = _none(files["fmi3Functions.h"], wrapper)
         compiled.append("fmi3_none.c")
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{node}.fmu"
-    with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as place:
+    with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as scratch:
         for name, text in files.items():
-            Path(place, name).write_text(text, encoding="utf-8")
-        library = _compiled(Path(place), done.name, compiled)
+            Path(scratch, name).write_text(text, encoding="utf-8")
+        library = _compiled(Path(scratch), done.name, compiled)
         binary = f"binaries/{fmpy.platform if version == 2 else fmpy.platform_tuple}/{done.name}.so"
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("modelDescription.xml", _described(rig, member, done, variables, version, compiled))
@@ -109,13 +109,13 @@ def export_native(rig: Rig, node: str, folder: Path, start: Mapping[str, Sequenc
     return path
 
 
-def _compiled(place: Path, name: str, files: Sequence[str]) -> Path:
+def _compiled(folder: Path, name: str, files: Sequence[str]) -> Path:
     compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
     if compiler is None:
         raise ScenarioError("no C compiler was found (Debian: apt-get install gcc)")
-    library = place / f"{name}.so"
+    library = folder / f"{name}.so"
     command = [compiler, *(f for f in FLAGS if f != "-Werror"), "-shared", "-fPIC", "-o", library.name, *files, "-lm"]
-    done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=PATIENCE)
     if done.returncode:
         raise ScenarioError(f"{compiler} refuses the FMU of {name}: {done.stderr.strip()[:2000]}")
     return library
@@ -123,26 +123,26 @@ def _compiled(place: Path, name: str, files: Sequence[str]) -> Path:
 
 def _variables(member: Member, done: Exported, start: Mapping[str, Sequence[float]]) -> list[Variable]:
     result: list[Variable] = []
-    for way, ports in (("input", member.inputs), ("output", member.outputs)):
+    for causality, ports in (("input", member.inputs), ("output", member.outputs)):
         for port in ports:
             topic = member.remap.get(port.topic, port.topic)
             first = start.get(port.name, port.safe)
-            name, struct = identifier(port.name), "in" if way == "input" else "out"
+            name, struct = identifier(port.name), "in" if causality == "input" else "out"
             for k, (label, unit) in enumerate(zip(port.labels, port.units, strict=True)):
-                limit = port.limits[k] if way == "input" else None
+                limit = port.limits[k] if causality == "input" else None
                 result.append(
                     Variable(
-                        variable(topic, label), way, "REAL", f"m->{struct}.{name}[{k}]", first[k], unit,
+                        variable(topic, label), causality, "REAL", f"m->{struct}.{name}[{k}]", first[k], unit,
                         f"{topic}/{label}", None if limit is None else -limit, limit,
-                        f"m->in.has_{name}" if way == "input" and port.held else "",
+                        f"m->in.has_{name}" if causality == "input" and port.held else "",
                     )
                 )  # fmt: skip
     values = flatten(member.params)
     known = {d.name: d for d in declarations(type(member.params))}
     for name in done.settable:
-        value, one = values[name], known.get(name)
-        bounds = (one.lower, one.upper) if one is not None else (None, None)
-        unit, doc = (one.unit or "", one.doc) if one is not None else ("", "")
+        value, declaration = values[name], known.get(name)
+        bounds = (declaration.lower, declaration.upper) if declaration is not None else (None, None)
+        unit, doc = (declaration.unit or "", declaration.doc) if declaration is not None else ("", "")
         result.append(
             Variable(name, "parameter", KINDS[type(value)], f"m->params.{identifier(name)}", value, unit, doc, *bounds)
         )
@@ -155,7 +155,7 @@ def _model(member: Member, done: Exported, variables: Sequence[Variable]) -> str
     num, den = (period * 10**9).as_integer_ratio()
     digest = re.findall(r'_DIGEST "(\w+)"', done.files[f"{n}.h"])[0]
     plant = int(member.is_plant)
-    words = {
+    macros = {
         "node_t": n, "node_in_t": f"{n}_in", "node_out_t": f"{n}_out", "node_params_t": f"{n}_params",
         "node_init": f"{n}_init", "NODE_PARAMS": f"{n.upper()}_PARAMS", "node_step": f"{n}_step",
         "node_outputs": f"{n}_outputs", "node_advance": f"{n}_advance",
@@ -169,7 +169,7 @@ def _model(member: Member, done: Exported, variables: Sequence[Variable]) -> str
             "#ifndef MODEL_H",
             "#define MODEL_H",
             f'#include "{n}.h"',
-            *(f"#define {word} {text}" for word, text in words.items()),
+            *(f"#define {name} {text}" for name, text in macros.items()),
             "enum { KIND_REAL, KIND_INTEGER, KIND_BOOLEAN };",
             "#endif",
             "",
@@ -181,7 +181,7 @@ def _places(member: Member, variables: Sequence[Variable], start: Mapping[str, S
     """Return the functions that read and write the variables of an instance."""
     begin = [f"    {v.place} = {literal(float(v.start))};" for v in variables if v.causality != "parameter"]
     begin += [f"    m->in.has_{identifier(p.name)} = true;" for p in member.inputs if p.held and p.name in start]
-    inside = [
+    checks = [
         f"({f'!{v.flag} || ' if v.flag else ''}(fabs({v.place}) <= {literal(float(v.high or 0.0))}))"
         for v in variables
         if v.causality == "input"
@@ -198,7 +198,7 @@ def _places(member: Member, variables: Sequence[Variable], start: Mapping[str, S
             "static bool model_inside(const model_t *m)",
             "{",
             "    (void)m;",
-            f"    return {' && '.join(inside) or 'true'};",
+            f"    return {' && '.join(checks) or 'true'};",
             "}",
             "static bool model_get(const model_t *m, unsigned vr, int kind, double *x)",
             "{",
@@ -225,7 +225,7 @@ def _setters(variables: Sequence[Variable]) -> list[str]:
     for k, v in enumerate(variables):
         if v.causality == "output":
             continue
-        kept = (
+        store = (
             f"{v.place} = x;"
             if v.kind == "REAL"
             else f"{v.place} = (x != 0.0);"
@@ -239,7 +239,7 @@ def _setters(variables: Sequence[Variable]) -> list[str]:
         else:
             test = f"kind != KIND_{v.kind}"
         flag = f" {v.flag} = true;" if v.flag else ""
-        sets.append(f"    case {k}u: if ({test}) {{ return false; }} {kept}{flag} return true;")
+        sets.append(f"    case {k}u: if ({test}) {{ return false; }} {store}{flag} return true;")
     return sets
 
 
@@ -284,22 +284,22 @@ def _described(
     structure = SubElement(root, "ModelStructure")
     outputs = [k for k, v in enumerate(variables) if v.causality == "output"]
     if version == 2:
-        for part in ("Outputs", "InitialUnknowns") if outputs else ():
-            one = SubElement(structure, part)
+        for tag in ("Outputs", "InitialUnknowns") if outputs else ():
+            element = SubElement(structure, tag)
             for k in outputs:
-                SubElement(one, "Unknown", index=str(k + 1))
+                SubElement(element, "Unknown", index=str(k + 1))
     else:
-        for part in ("Output", "InitialUnknown"):
+        for tag in ("Output", "InitialUnknown"):
             for k in outputs:
-                SubElement(structure, part, valueReference=str(k))
+                SubElement(structure, tag, valueReference=str(k))
     indent(root)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n"
 
 
 def _variable(listed: Element, k: int, v: Variable, version: int, computed: bool) -> None:
     bounds = {"min": v.low, "max": v.high}
-    whole = int if v.kind == "INTEGER" else float
-    about = {key: repr(whole(x)) for key, x in bounds.items() if x is not None and abs(x) < float("inf")}
+    number = int if v.kind == "INTEGER" else float
+    about = {key: repr(number(x)) for key, x in bounds.items() if x is not None and abs(x) < float("inf")}
     if v.kind == "REAL" and v.unit not in ("", "1"):
         about["unit"] = v.unit
     if v.causality != "output":
@@ -320,18 +320,18 @@ def _built(name: str, files: Sequence[str]) -> bytes:
     root = Element("fmiBuildDescription", fmiVersion="3.0")
     build = SubElement(root, "BuildConfiguration", modelIdentifier=name)
     sources = SubElement(build, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off")
-    for one in files:
-        SubElement(sources, "SourceFile", name=one)
+    for file in files:
+        SubElement(sources, "SourceFile", name=file)
     indent(root)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n"
 
 
 def _none(header: str, wrapper: str) -> str:
     """Return the functions that each FMU of FMI 3.0 exports and that one of this kind has no use for."""
-    there = set(re.findall(r"\bfmi3\w+(?=\()", wrapper)) | {
-        f"fmi3{way}{kind}" for way in ("Get", "Set") for kind in ("Float64", "Int64", "Boolean")
+    defined = set(re.findall(r"\bfmi3\w+(?=\()", wrapper)) | {
+        f"fmi3{verb}{kind}" for verb in ("Get", "Set") for kind in ("Float64", "Int64", "Boolean")
     }
-    names = [n for n in re.findall(r"FMI3_Export \w+ +(fmi3\w+);", header) if n not in there]
+    names = [n for n in re.findall(r"FMI3_Export \w+ +(fmi3\w+);", header) if n not in defined]
     lines = [f"int {name}(void);\nint {name}(void) {{ return 3; }}" for name in names]
     return "\n".join(
         ["/* Functions of FMI 3.0 that are an error here, whatever they are given (3: fmi3Error). */", *lines, ""]

@@ -85,13 +85,13 @@ def _cell(variable: Variable) -> Cell:
 
 
 def _values(
-    given: Sequence[tuple[Variable, Any]], only: Set[int] | None = None
+    pairs: Sequence[tuple[Variable, Any]], only: Set[int] | None = None
 ) -> tuple[tuple[str, int, tuple[Any, ...]], ...]:
     """Return type, reference and values of the variables to set; for an array also those that keep their start
     values.
     """
     results: dict[int, tuple[Variable, list[Any]]] = {}
-    for variable, value in given:
+    for variable, value in pairs:
         if variable.element is None:
             results[variable.reference] = variable, [value]
             continue
@@ -167,8 +167,8 @@ class _Fmu(Block[FmuParams]):
     @classmethod
     def fixed(cls, params: FmuParams) -> Any:
         """Return the parameters that the FMU does not declare tunable."""
-        given = start_values(params.unit, params.values) if params.fmu else ()
-        return {v.name: value for v, value in given if not v.tunable}, {v.name for v, _ in given}
+        starts = start_values(params.unit, params.values) if params.fmu else ()
+        return {v.name: value for v, value in starts if not v.tunable}, {v.name for v, _ in starts}
 
     @classmethod
     def contents(cls, params: FmuParams) -> Mapping[str, str]:
@@ -212,9 +212,9 @@ class _Fmu(Block[FmuParams]):
     def go_on(self, x: State, before: FmuParams) -> State:
         """Set changed parameters between two steps; the state of the FMU continues."""
         was = dict(start_values(before.unit, before.values))
-        given = dict(start_values(self.p.unit, self.p.values))
-        other = {v.reference for v, value in given.items() if value != was[v]}
-        return self._call(x, "tune", _values(tuple(given.items()), other))[0] if other else x
+        starts = dict(start_values(self.p.unit, self.p.values))
+        changed = {v.reference for v, value in starts.items() if value != was[v]}
+        return self._call(x, "tune", _values(tuple(starts.items()), changed))[0] if changed else x
 
     def _step(self, x: State, inputs: Mapping[str, tuple[float, ...]]) -> State:
         """Advance the FMU over one period with the inputs held; the outputs are then those of its end."""
@@ -273,9 +273,9 @@ class _Fmu(Block[FmuParams]):
 
     def load(self, saved: tuple[State, bytes | None]) -> State:
         """Continue from a stored state, in this or another block of the same FMU."""
-        x, kept = saved
-        if kept is not None:
-            self._asked(x.k, self._running.call, "restore", kept)
+        x, memory = saved
+        if memory is not None:
+            self._asked(x.k, self._running.call, "restore", memory)
         else:
             # Each call refers to the one before it, so they are listed from the last to the first.
             for call in reversed([*calls_before(x.calls)]):

@@ -39,10 +39,10 @@ def unit_definitions(units: Iterable[str]) -> list[Element]:
     """Return the element that defines the units, in a list that is empty if there are no units."""
     element = Element("UnitDefinitions")
     for unit in sorted(units):
-        factor, parts = base(unit)
-        one = SubElement(element, "Unit", name=unit)
-        if set(parts) <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}:
-            SubElement(one, "BaseUnit", {k: str(v) for k, v in parts.items()} | {"factor": repr(factor)})
+        factor, powers = base(unit)
+        entry = SubElement(element, "Unit", name=unit)
+        if set(powers) <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}:
+            SubElement(entry, "BaseUnit", {k: str(v) for k, v in powers.items()} | {"factor": repr(factor)})
     return [element] if len(element) else []
 
 
@@ -127,24 +127,22 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         from pythonfmu import Boolean, Fmi2Causality, Fmi2Variability, Integer, Real, String
 
         types = {float: Real, int: Integer, bool: Boolean, str: String}
-        for one in declarations(self._class.Params):
-            if one.name == "period" or one.type not in types or isinstance(self._values.get(one.name), list | None):
+        for d in declarations(self._class.Params):
+            if d.name == "period" or d.type not in types or isinstance(self._values.get(d.name), list | None):
                 continue
-            bounds = {"min": one.lower, "max": one.upper} if one.type in (float, int) else {}
-            largest = LARGEST if one.type is int else math.inf
-            self._extra[one.name] = {
-                k: repr(one.type(v)) for k, v in bounds.items() if v is not None and abs(v) <= largest
-            }
-            if one.type is float and one.unit:
-                self._extra[one.name]["unit"] = one.unit
+            bounds = {"min": d.lower, "max": d.upper} if d.type in (float, int) else {}
+            largest = LARGEST if d.type is int else math.inf
+            self._extra[d.name] = {k: repr(d.type(v)) for k, v in bounds.items() if v is not None and abs(v) <= largest}
+            if d.type is float and d.unit:
+                self._extra[d.name]["unit"] = d.unit
             self.register_variable(
-                types[one.type](
-                    one.name,
+                types[d.type](
+                    d.name,
                     causality=Fmi2Causality.parameter,
                     variability=Fmi2Variability.fixed,
-                    description=one_line(one.doc),
-                    getter=lambda n=one.name: self._values[n],
-                    setter=lambda x, n=one.name: self._values.__setitem__(n, x),
+                    description=one_line(d.doc),
+                    getter=lambda n=d.name: self._values[n],
+                    setter=lambda x, n=d.name: self._values.__setitem__(n, x),
                 ),
                 nested=False,
             )
@@ -179,13 +177,13 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
 
     def _get_fmu_state(self) -> dict[str, Any]:
         """Return the complete state, in the form that PythonFMU stores and writes."""
-        kept = self._step.save(), self._k, self._numbers
-        return {"kept": base64.b64encode(pickle.dumps(kept)).decode()}
+        state = self._step.save(), self._k, self._numbers
+        return {"kept": base64.b64encode(pickle.dumps(state)).decode()}
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         """Continue from a stored state; the bytes come from the tool in whose process this runs."""
-        kept, self._k, numbers = pickle.loads(base64.b64decode(state["kept"]))
-        self._step.load(kept)
+        block_state, self._k, numbers = pickle.loads(base64.b64decode(state["kept"]))
+        self._step.load(block_state)
         for name, row in numbers.items():
             self._numbers[name][:] = row
 
@@ -209,9 +207,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         # A tool reads the outputs before the first step, and a source has a value then. Its state is loaded back
         # because the first step answers the same tick again.
         if not self._inputs and not isinstance(step.block, Plant):
-            kept = step.save()
+            saved = step.save()
             step.answer(self._schedule.time(self._k))
-            step.load(kept)
+            step.load(saved)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Move on by whole periods.

@@ -70,10 +70,10 @@ class Line:
             k -= 1
         if k < 0:
             return Line(self._size, ((item,),))
-        at = bisect_right(blocks[k], item)
-        block = (*blocks[k][:at], item, *blocks[k][at:])
-        parts = (block,) if len(block) <= BLOCK else (block[:BLOCK], block[BLOCK:])
-        return Line(self._size, (*blocks[:k], *parts, *blocks[k + 1 :]))
+        index = bisect_right(blocks[k], item)
+        block = (*blocks[k][:index], item, *blocks[k][index:])
+        pieces = (block,) if len(block) <= BLOCK else (block[:BLOCK], block[BLOCK:])
+        return Line(self._size, (*blocks[:k], *pieces, *blocks[k + 1 :]))
 
     def pop_arrived(self, t: int, since: int, message: Any) -> tuple[Line, int, Any]:
         """Remove the messages that have arrived at `t`; return the newest of those from `since` (ns) on, stamp before
@@ -187,15 +187,15 @@ def _insert(
             for j in range(n):
                 values[(k - begin) * n + j] = values[k * n + j]
         begin, end = 0, end - begin
-    at = end
-    while at > begin and (due < dues[at - 1] or (due == dues[at - 1] and stamp < stamps[at - 1])):
-        dues[at], stamps[at] = dues[at - 1], stamps[at - 1]
+    index = end
+    while index > begin and (due < dues[index - 1] or (due == dues[index - 1] and stamp < stamps[index - 1])):
+        dues[index], stamps[index] = dues[index - 1], stamps[index - 1]
         for j in range(n):
-            values[at * n + j] = values[(at - 1) * n + j]
-        at -= 1
-    dues[at], stamps[at] = due, stamp
+            values[index * n + j] = values[(index - 1) * n + j]
+        index -= 1
+    dues[index], stamps[index] = due, stamp
     for j in range(n):
-        values[at * n + j] = message[j]
+        values[index * n + j] = message[j]
     return begin, end + 1
 
 

@@ -73,9 +73,9 @@ class FaultParams(LinkParams):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         count = len(self.concerned())
-        for name, given in (("value", self.value), ("lower", self.lower)):
-            if len(given) not in ((1, count) if name == "value" else (0, 1, count)):
-                raise ValueError(f"{name} has {len(given)} numbers, expected one, or one for each of {count} values")
+        for name, values in (("value", self.value), ("lower", self.lower)):
+            if len(values) not in ((1, count) if name == "value" else (0, 1, count)):
+                raise ValueError(f"{name} has {len(values)} numbers, expected one, or one for each of {count} values")
         if self.kind in ("noise", "quantise") and min(self.value) < 0.0:
             raise ValueError(f"value = {min(self.value):g}: expected at least 0 for {self.kind}")
         if self.kind == "invalid" and self.message == types.BUTTON.name:
@@ -109,10 +109,10 @@ class FaultParams(LinkParams):
         if not self.affects:
             return tuple(range(len(labels)))
         for name in self.affects:
-            there = [i for i, label in enumerate(labels) if label == name or label.split("/")[0] == name]
-            if not there:
+            indices = [i for i, label in enumerate(labels) if label == name or label.split("/")[0] == name]
+            if not indices:
                 raise ValueError(f"affects {name!r}, but the link carries {', '.join(labels)}")
-            results += [i for i in there if i not in results]
+            results += [i for i in indices if i not in results]
         return tuple(results)
 
     def range(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -250,16 +250,16 @@ class Fault(Block[FaultParams]):
             # Each message of this kind draws numbers, so k > 0 shows that there is a message to repeat.
             repeats = k > 0
             draws, burst, k = self._draws(burst, k)
-            there = on and self._there(t)
-            if not there:
+            faulty = on and self._there(t)
+            if not faulty:
                 since = -1
             elif since < 0:
                 since, stuck = t, data
-            if there and kind == "delay":
+            if faulty and kind == "delay":
                 due = t + (self._delay + int(draws[0] * (self._jitter + 1))) * self._period
                 last_due = due if p.overtaking else max(due, last_due)
                 line = line.put(last_due, stamp, data)
-            elif not there:
+            elif not faulty:
                 received, newest, sample = True, stamp, sent
             elif not self._lost(burst, draws):
                 received = True
@@ -316,11 +316,11 @@ class Fault(Block[FaultParams]):
     def _profile(self, since: int) -> float:
         """Value of the profile at a time in ns after its start."""
         points = self.p.points
-        at = since / self._span * (len(points) - self.p.linear)
-        k = int(at)
+        position = since / self._span * (len(points) - self.p.linear)
+        k = int(position)
         if k >= len(points) - 1:
             return points[-1]
-        return points[k] + (at - k) * (points[k + 1] - points[k]) if self.p.linear else points[k]
+        return points[k] + (position - k) * (points[k + 1] - points[k]) if self.p.linear else points[k]
 
     def _draws(self, burst: bool, k: int) -> tuple[list[float], bool, int]:
         """Random numbers of a message, the burst after it, and how many numbers have been drawn."""

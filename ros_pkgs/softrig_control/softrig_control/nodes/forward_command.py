@@ -39,8 +39,8 @@ class ForwardCommand(Block[ForwardCommandParams]):
         """Declare one value per actuator."""
         n = len(params.joints)
         units = params.units * n if len(params.units) == 1 else params.units
-        given = array("commands", params.commands, {"joint": n}, units, held=True)
-        return (given,), (command("command", "command", params.joints, units),)
+        commands = array("commands", params.commands, {"joint": n}, units, held=True)
+        return (commands,), (command("command", "command", params.joints, units),)
 
     def setup(self) -> None:
         """Compute the output before the first array."""

@@ -119,15 +119,13 @@ class PolicyParams(BlockParams):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        for what, signals, ports in (("observe", self.observe, self.input_ports), ("act", self.act, self.output_ports)):
+        for key, signals, ports in (("observe", self.observe, self.input_ports), ("act", self.act, self.output_ports)):
             known = {f"{p.topic}/{label}" for p in ports for label in p.labels}
             for signal in signals:
                 if signal not in known:
-                    raise ValueError(
-                        f"{what}: {signal!r} is on none of the ports; they have {', '.join(sorted(known))}"
-                    )
+                    raise ValueError(f"{key}: {signal!r} is on none of the ports; they have {', '.join(sorted(known))}")
             if len({*signals}) != len(signals) or not signals:
-                raise ValueError(f"{what}: expected signals, each once")
+                raise ValueError(f"{key}: expected signals, each once")
         for name in ("low", "high"):
             if len(getattr(self, name)) not in (0, len(self.act)):
                 raise ValueError(f"{name}: {len(getattr(self, name))} values, expected one an action, {len(self.act)}")
@@ -177,10 +175,10 @@ class Policy(Block[PolicyParams]):
     def setup(self) -> None:
         """Find where each signal is, and the policy."""
         p = self.p
-        places = {f"{port.topic}/{label}": (port, k) for port in p.input_ports for k, label in enumerate(port.labels)}
-        self.observed = [places[signal] for signal in p.observe]
-        at = {signal: k for k, signal in enumerate(p.act)}
-        self._acted = [(port, [at.get(f"{port.topic}/{label}") for label in port.labels]) for port in p.output_ports]
+        known = {f"{port.topic}/{label}": (port, k) for port in p.input_ports for k, label in enumerate(port.labels)}
+        self.observed = [known[signal] for signal in p.observe]
+        index = {signal: k for k, signal in enumerate(p.act)}
+        self._acted = [(port, [index.get(f"{port.topic}/{label}") for label in port.labels]) for port in p.output_ports]
         self._bounds = p.bounds()
         self._make = find(p.policy)
         self._policy()
@@ -208,21 +206,21 @@ class Policy(Block[PolicyParams]):
         """Return the observation that the values of the ports make."""
         results = []
         for port, k in self.observed:
-            given = inputs[port.name]
-            given = port.safe if given is None else given.data if isinstance(given, Sample) else given
-            results.append(given[k])
+            values = inputs[port.name]
+            values = port.safe if values is None else values.data if isinstance(values, Sample) else values
+            results.append(values[k])
         return tuple(results)
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:
         """Publish the commands of the policy."""
-        given = x.act(self.observation(inputs))
-        if len(given) != len(self._bounds):
-            raise ValueError(f"the policy gave {len(given)} actions, expected {len(self._bounds)}")
+        result = x.act(self.observation(inputs))
+        if len(result) != len(self._bounds):
+            raise ValueError(f"the policy gave {len(result)} actions, expected {len(self._bounds)}")
         # Both comparisons are false for NaN: it is passed on and refused as that of any block.
-        action = [low if a < low else high if a > high else a for a, (low, high) in zip(given, self._bounds)]
+        action = [low if a < low else high if a > high else a for a, (low, high) in zip(result, self._bounds)]
         messages: dict[str, tuple[float, ...] | Sample | None] = {}
-        for port, places in self._acted:
-            row = tuple([safe if k is None else float(action[k]) for k, safe in zip(places, port.safe, strict=True)])
-            silent = port.sporadic and not any(k is not None for k in places)
+        for port, indices in self._acted:
+            row = tuple([safe if k is None else float(action[k]) for k, safe in zip(indices, port.safe, strict=True)])
+            silent = port.sporadic and not any(k is not None for k in indices)
             messages[port.name] = None if silent else Sample(t, row) if port.delayed else row
         return x, messages

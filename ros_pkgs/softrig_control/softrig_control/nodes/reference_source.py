@@ -37,8 +37,8 @@ class ReferenceSourceParams(ProfileParams):
     def _only_what_is_given(cls, values: Any) -> Any:
         # The default velocity is for a source without any values; it must not be sent beside fields that a scenario
         # gives.
-        given = isinstance(values, dict) and (values.get("positions") or values.get("accelerations"))
-        return {"velocities": ()} | values if given else values
+        stated = isinstance(values, dict) and (values.get("positions") or values.get("accelerations"))
+        return {"velocities": ()} | values if stated else values
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:

@@ -36,9 +36,9 @@ class RequirementMonitorParams(BlockParams):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        for one, other in (("names", "signals"), ("constants", "values"), ("scale_units", "scale_values")):
-            if len(getattr(self, one)) != len(getattr(self, other)):
-                raise ValueError(f"{len(getattr(self, one))} {one}, but {len(getattr(self, other))} {other}")
+        for first, second in (("names", "signals"), ("constants", "values"), ("scale_units", "scale_values")):
+            if len(getattr(self, first)) != len(getattr(self, second)):
+                raise ValueError(f"{len(getattr(self, first))} {first}, but {len(getattr(self, second))} {second}")
         known = {f"{p.topic}/{label}" for p in self.inputs() for label in p.labels}
         for signal in self.signals:
             if signal not in known:
@@ -97,9 +97,9 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
     def setup(self) -> None:
         """Read the formula and find its signals."""
         self._tree, self._conditions, self._unit = self.p.read()
-        places = {f"{p.topic}/{label}": (p.name, k) for p in self.p.inputs() for k, label in enumerate(p.labels)}
+        known = {f"{p.topic}/{label}": (p.name, k) for p in self.p.inputs() for k, label in enumerate(p.labels)}
         signals = dict(zip(self.p.names, self.p.signals, strict=True))
-        self._places = {name: places[signal] for name, signal in signals.items()}
+        self._places = {name: known[signal] for name, signal in signals.items()}
         self._used = variables(self._tree)
 
         self._live = Live(self._tree)
@@ -110,7 +110,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Process the signals of this tick."""
-        seen: dict[str, float] = {}
+        signals: dict[str, float] = {}
         truths: dict[str, float] = {}
         late: dict[str, bool] = {}
         now: list[float | None] = []
@@ -118,15 +118,15 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
             condition = self._conditions.get(name)
             port, k = self._places[condition.signal if condition else name]
             arrived = self.age(port) is not None
-            given = inputs[port]
-            value = (given.data if isinstance(given, Sample) else given)[k] if arrived else 0.0
+            message = inputs[port]
+            value = (message.data if isinstance(message, Sample) else message)[k] if arrived else 0.0
             if condition is None:
-                seen[name], late[name] = value, not arrived
+                signals[name], late[name] = value, not arrived
                 now.append(None)
                 continue
             truths[name] = float(truth(condition, value, value if last is None else last))
             now.append(value)
-        return self._pushed(x._replace(before=tuple(now)), t, seen, truths, late)
+        return self._pushed(x._replace(before=tuple(now)), t, signals, truths, late)
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Treat a tick with an invalid signal as one without information."""
@@ -134,12 +134,12 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         return self._pushed(x, t, nothing, dict.fromkeys(self._conditions, math.nan), dict.fromkeys(nothing, False))
 
     def _pushed(
-        self, x: State, t: int, seen: Mapping[str, float], truths: Mapping[str, float], late: Mapping[str, bool]
+        self, x: State, t: int, signals: Mapping[str, float], truths: Mapping[str, float], late: Mapping[str, bool]
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         opened, before, lower, upper, decided = x
         if not decided:
             violated = upper < 0.0
-            opened = self._live.push(opened, float(t), seen, truths, late)
+            opened = self._live.push(opened, float(t), signals, truths, late)
             lower, upper = self._live.bounds(opened)
             decided = self._live.decided(opened)
             if upper < 0.0 and not violated:

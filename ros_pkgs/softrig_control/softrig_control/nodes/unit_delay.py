@@ -62,14 +62,14 @@ class LinkParams(BlockParams):
 
     def check_size(self, name: str) -> None:
         """Ensure that a list of values, if there is one, has one for each value of the port."""
-        given, size = getattr(self, name), len(self._labels)
-        if given and len(given) != size:
-            raise ValueError(f"{name} has {len(given)} values, expected {size}")
+        values, size = getattr(self, name), len(self._labels)
+        if values and len(values) != size:
+            raise ValueError(f"{name} has {len(values)} values, expected {size}")
 
     @property
     def _fields(self) -> tuple[str, ...]:
-        own = self.type.sizes
-        return tuple(f for f in own if f in self.fields) if self.type.named else tuple(own)
+        sizes = self.type.sizes
+        return tuple(f for f in sizes if f in self.fields) if self.type.named else tuple(sizes)
 
     @property
     def _labels(self) -> tuple[str, ...]:

@@ -191,9 +191,9 @@ class GpcController(Block[P]):
         law = gpc.measure(law, y)
         if self._solver is None:
             u = law.u + gpc.move(law, w)
-            held = min(max(u, p.u_min), p.u_max)
-            law = gpc.applied(law, held)
-            state, active = FOLLOWING if held == u else BOUNDED, int(held != u)
+            bounded = min(max(u, p.u_min), p.u_max)
+            law = gpc.applied(law, bounded)
+            state, active = FOLLOWING if bounded == u else BOUNDED, int(bounded != u)
         else:
             law, state, active = self._constrained(self._solver, law, w)
             failures += state == HOLDING
