@@ -71,8 +71,8 @@ class Deviation:
     def __str__(self) -> str:
         if not self.largest:
             return f"{self.signal}: equal at {self.samples} times"
-        part = f" ({100.0 * self.largest / self.peak:.2g} % of the peak)" if self.peak else ""
-        text = f"{self.signal}: max {self.largest:.3g}{part} at t = {self.at:.6g} s, rms {self.rms:.3g}"
+        share = f" ({100.0 * self.largest / self.peak:.2g} % of the peak)" if self.peak else ""
+        text = f"{self.signal}: max {self.largest:.3g}{share} at t = {self.at:.6g} s, rms {self.rms:.3g}"
         if self.off:
             text += f"; {self.off} of {self.samples} samples beyond the tolerance"
         if self.shift:
@@ -179,21 +179,21 @@ def align(
         for label in x.columns.keys() & y.columns.keys():
             name = f"{topic}/{label}"
             limit = next((v for p, v in (tolerances or {}).items() if fnmatchcase(name, p)), default)
-            one, two = (
+            first, second = (
                 _samples(axes[topic][k] - starts[k], table.columns[label], signals.absent[topic].get(label))
                 for k, (signals, table) in enumerate(((a, x), (b, y)))
             )
-            if not np.array_equal(one[0], two[0]):
+            if not np.array_equal(first[0], second[0]):
                 # Without any time between its messages a signal has no line from which it could be interpolated.
-                if any(len(t) > 1 and not np.ptp(t) for t, _ in (one, two)):
+                if any(len(t) > 1 and not np.ptp(t) for t, _ in (first, second)):
                     unread.append(f"{name}: all its messages have one time")
                     continue
-                one, two = (_single(*samples) for samples in (one, two))
-            span = max(one[0][0], two[0][0]), min(one[0][-1], two[0][-1])
+                first, second = (_single(*samples) for samples in (first, second))
+            span = max(first[0][0], second[0][0]), min(first[0][-1], second[0][-1])
             if span[0] <= span[1]:
-                results.append(_deviation(name, one, two, span, limit))
+                results.append(_deviation(name, first, second, span, limit))
                 spans.append(span)
-                length = max(float(np.ptp(t)) for t, _ in (one, two))
+                length = max(float(np.ptp(t)) for t, _ in (first, second))
                 if (alone := length - (span[1] - span[0])) > ALONE * length:
                     unread.append(f"{name}: {alone:.3g} of {length:.3g} s, which only one of the bags has")
             else:
@@ -231,16 +231,16 @@ def _useless(pair: tuple[Table, Table]) -> str:
             return f"header stamps go back {back} times in {name}, as those of several clocks do"
         order = np.argsort(stamp, kind="stable")
         same = np.flatnonzero(np.diff(stamp[order]) == 0)
-        one, two = order[same], order[same + 1]
-        unlike = [~((x[one] == x[two]) | (np.isnan(x[one]) & np.isnan(x[two]))) for x in table.columns.values()]
-        if unlike and (n := int(np.sum(np.any(unlike, axis=0)))) > BACK * len(steps) and not _is_mixed(table, one, two):
+        i, j = order[same], order[same + 1]
+        unlike = [~((x[i] == x[j]) | (np.isnan(x[i]) & np.isnan(x[j]))) for x in table.columns.values()]
+        if unlike and (n := int(np.sum(np.any(unlike, axis=0)))) > BACK * len(steps) and not _is_mixed(table, i, j):
             return f"{n} messages in {name} have the header stamp of another one, but other values"
     return ""
 
 
-def _is_mixed(table: Table, one: NDArray[np.intp], two: NDArray[np.intp]) -> bool:
+def _is_mixed(table: Table, i: NDArray[np.intp], j: NDArray[np.intp]) -> bool:
     """Return whether messages of equal stamps have no channel in common: those of several publishers."""
-    return all((np.isnan(x[one]) | np.isnan(x[two])).all() for x in table.columns.values())
+    return all((np.isnan(x[i]) | np.isnan(x[j])).all() for x in table.columns.values())
 
 
 def _start(signals: BagSignals, axes: Sequence[Array]) -> float:
@@ -266,12 +266,12 @@ def _deviation(
     name: str, a: tuple[Array, Array], b: tuple[Array, Array], span: tuple[float, float], limit: Tolerance
 ) -> Deviation:
     # Times in s are rounded, so a sample at an end of the span counts as inside within 1 ns.
-    inside = [(t[k], x[k]) for t, x in (a, b) if (k := (t >= span[0] - 1e-9) & (t <= span[1] + 1e-9)) is not None]
-    slow = 0 if inside[0][0].size <= inside[1][0].size else 1
-    times = inside[slow][0]
-    if np.array_equal(inside[0][0], inside[1][0]):
+    common = [(t[k], x[k]) for t, x in (a, b) if (k := (t >= span[0] - 1e-9) & (t <= span[1] + 1e-9)) is not None]
+    slow = 0 if common[0][0].size <= common[1][0].size else 1
+    times = common[slow][0]
+    if np.array_equal(common[0][0], common[1][0]):
         # With equal times each sample has its partner; interpolation would need one value a time.
-        x, y = inside[0][1], inside[1][1]
+        x, y = common[0][1], common[1][1]
     else:
         x, y = (np.interp(times, *pair) for pair in (a, b))
     with np.errstate(invalid="ignore"):

@@ -53,16 +53,16 @@ def _leaving(tool: Main) -> Main:
 
 def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
     """Separate the tool's own arguments from ``--ros-args ... --``."""
-    own: list[str] = []
+    arguments: list[str] = []
     ros: list[str] = []
-    target = own
+    target = arguments
     for item in argv:
         if item == "--ros-args":
             target = ros
         target.append(item)
         if item == "--" and target is ros:
-            target = own
-    return own, ros
+            target = arguments
+    return arguments, ros
 
 
 def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Declaration, Any]]:
@@ -94,8 +94,8 @@ def _namespace_argument(parser: argparse.ArgumentParser, text: str) -> None:
 def _bag(text: str) -> Path:
     """Return the bag of an argument; that of a run whose folder is named."""
     path = Path(text)
-    inside = path / "bag"
-    return inside if (path / "metrics.json").is_file() and inside.exists() else path
+    folder = path / "bag"
+    return folder if (path / "metrics.json").is_file() and folder.exists() else path
 
 
 # verbs and options of other tools, and what they are called here
@@ -134,8 +134,8 @@ def main_record(argv: list[str]) -> int:
     parser.add_argument(
         "--use-sim-time", action="store_true", help="bag time is the header stamp instead of the time of arrival"
     )
-    own, ros = _ros_arguments(argv)
-    options = parser.parse_args(own)
+    arguments, ros = _ros_arguments(argv)
+    options = parser.parse_args(arguments)
 
     from .files.bag import BagWriter
     from .live.recorder import RESERVE, Recorder
@@ -198,8 +198,8 @@ def main_play(argv: list[str]) -> int:
     lockstep.add_argument(
         "--timeout", type=Number(float, 0.1, 1e6), default=30.0, metavar="S", help="wall-clock time without an answer"
     )
-    own, ros = _ros_arguments(argv)
-    options = parser.parse_args(own)
+    arguments, ros = _ros_arguments(argv)
+    options = parser.parse_args(arguments)
     if options.lockstep and (options.loop or options.clock or options.rate != 1.0):
         raise BagError("--rate, --loop and --clock have no meaning with --lockstep: the node sets the pace")
     if options.answers and not options.lockstep:
@@ -267,7 +267,7 @@ def main_compare(argv: list[str]) -> int:
     default = Tolerance(options.abs, options.rel)
     if len(options.namespace) > 2:
         raise BagError("--namespace is expected once, for both bags, or twice, for A and B")
-    one, other = (options.namespace * 2)[:2] or ("", "")
+    namespace_a, namespace_b = (options.namespace * 2)[:2] or ("", "")
     if options.align and options.bitwise:
         raise BagError("--align with --bitwise: signals over time have no bytes; expected one of the two")
     result: Alignment | Comparison | None = None
@@ -280,11 +280,11 @@ def main_compare(argv: list[str]) -> int:
             bitwise=options.bitwise,
             topics=topics,
             ignore=options.ignore,
-            namespaces=(one, other),
+            namespaces=(namespace_a, namespace_b),
         )
         result = None if paired.unrelated and not options.bitwise else paired
     if result is None:
-        a, b = signals(options.a, one), signals(options.b, other)
+        a, b = signals(options.a, namespace_a), signals(options.b, namespace_b)
         result = align(a, b, default=default, tolerances=tolerances, topics=topics, ignore=options.ignore)
     print(result.to_json() if options.json else plain(str(result)))
     return 0 if result.equal else 1
@@ -338,8 +338,8 @@ def main_bag(argv: list[str]) -> int:
         from .export import export
 
         bag = options.bag.resolve()
-        of = [bag.stem if bag.is_file() else bag.name, *options.namespace.split("/"), options.format]
-        out = options.out or bag.with_name("_".join(filter(None, of)))
-        for path in export(bag, out, options.format, options.namespace):
+        words = [bag.stem if bag.is_file() else bag.name, *options.namespace.split("/"), options.format]
+        target = options.out or bag.with_name("_".join(filter(None, words)))
+        for path in export(bag, target, options.format, options.namespace):
             print(os.path.relpath(path))
     return 0

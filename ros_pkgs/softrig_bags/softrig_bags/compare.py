@@ -144,7 +144,7 @@ class Comparison:
         for t in self.topics:
             counts = str(t.count_a) if t.count_a == t.count_b else f"{t.count_a} against {t.count_b}"
             faults = [
-                f"{n} {what}" for n, what in ((t.missing, "missing"), (t.extra, "extra"), (t.differing, "differ")) if n
+                f"{n} {text}" for n, text in ((t.missing, "missing"), (t.extra, "extra"), (t.differing, "differ")) if n
             ]
             lines.append(f"{t.topic}: {counts} messages, {', '.join(faults) or 'equal'}")
             lines += [f"    {name}: largest deviation {value:.3g}" for name, value in t.largest.items()]
@@ -196,8 +196,8 @@ def compare(
     limits = _Limits(Tolerance(), {}, True) if bitwise else _Limits(default, tolerances or {}, False)
     with ExitStack() as stack:
         sides: list[Messages] = []
-        for what, namespace in zip((a, b), namespaces, strict=True):
-            sides.append(side := opened(what, namespace))
+        for source, namespace in zip((a, b), namespaces, strict=True):
+            sides.append(side := opened(source, namespace))
             stack.enter_context(side)
         known = [described(side) for side in sides]
         names = dict.fromkeys(d.name for topics_of_it in known for d in topics_of_it if d.name is not None)
@@ -211,19 +211,19 @@ def compare(
             if not any(fnmatchcase(name, p) for p in ignore)
             for pair in _pairs(name, known)
         ]
-        places = [{i: pair for pair in gathered if (i := pair.numbers[k]) is not None} for k in (0, 1)]
-        streams = [side.blocks(list(place)) for side, place in zip(sides, places, strict=True)]
+        pairs_of = [{i: pair for pair in gathered if (i := pair.numbers[k]) is not None} for k in (0, 1)]
+        streams = [side.blocks(list(pairs_by)) for side, pairs_by in zip(sides, pairs_of, strict=True)]
         for k, block in _in_step(streams):
             for number in distinct(block.topic):
-                if number in places[k]:
-                    places[k][number].add(k, block.select(np.flatnonzero(block.topic == number)))
+                if number in pairs_of[k]:
+                    pairs_of[k][number].add(k, block.select(np.flatnonzero(block.topic == number)))
         results = [pair.finish() for pair in gathered]
     # Two bags without a message on these topics would count as equal, but an empty comparison proves nothing.
     if topics != [] and not any(r.count_a or r.count_b for r in results):
         raise BagError("nothing to compare: neither has a message on the topics that are compared")
     notes = [f"{pair.result.topic}: {pair.pairing.note}" for pair in gathered if pair.pairing.note]
-    whole = all(side.is_whole for side in sides)
-    return Comparison(results, sum(pair.pairing.paired for pair in gathered), notes, whole)
+    complete = all(side.is_whole for side in sides)
+    return Comparison(results, sum(pair.pairing.paired for pair in gathered), notes, complete)
 
 
 def _pairs(name: str, known: Sequence[list[Described]]) -> Iterator[tuple[int | None, int | None]]:
@@ -312,8 +312,8 @@ class _TopicPair:
         if len(self._types) > 1:
             result.note(min(self._first, default=0), "type", *self._types)
         elif self._first:
-            what = ("present", "missing") if self.numbers[0] is not None else ("missing", "present")
-            result.note(min(self._first), "message", *what)
+            states = ("present", "missing") if self.numbers[0] is not None else ("missing", "present")
+            result.note(min(self._first), "message", *states)
         return result
 
     def _compare(
@@ -341,8 +341,8 @@ class _TopicPair:
         def visit(rows: NDArray[np.intp], label: str, x: Any, y: Any) -> None:
             if x is None or y is None or np.shape(x) != np.shape(y):
                 bad[rows] = True
-                here = ["missing" if v is None else _shape(x, y, v) for v in (x, y)]
-                result.note(int(np.min(stamps[rows])), label, *here)
+                shown = ["missing" if v is None else _shape(x, y, v) for v in (x, y)]
+                result.note(int(np.min(stamps[rows])), label, *shown)
                 return
             wrong = self._wrong(label, x, y)
             if wrong.any():
@@ -354,8 +354,8 @@ class _TopicPair:
                 result.note(int(stamps[rows][k]), name, *values)
                 bad[rows] |= within
 
-        one, two = groups_of(self._decoders[0], a, rows_a), groups_of(self._decoders[1], b, rows_b)
-        visit_pairs(result.msgtype, one, two, visit)
+        groups_a, groups_b = groups_of(self._decoders[0], a, rows_a), groups_of(self._decoders[1], b, rows_b)
+        visit_pairs(result.msgtype, groups_a, groups_b, visit)
         # These differ in bytes that no field shows, such as padding or the sign of a zero.
         if self._limits.bitwise and not bad.all():
             k = _earliest(~bad, stamps)
@@ -398,9 +398,9 @@ def _earliest(chosen: NDArray[np.bool_], stamps: NDArray[np.int64]) -> int:
     return int(rows[np.argmin(stamps[rows])])
 
 
-def _shape(x: Any, y: Any, own: Any) -> str:
+def _shape(x: Any, y: Any, present: Any) -> str:
     """Describe a field that only one message has, or that both have in other lengths."""
-    return "present" if x is None or y is None else f"{np.shape(own)[1]} elements"
+    return "present" if x is None or y is None else f"{np.shape(present)[1]} elements"
 
 
 def _item(value: Any) -> Any:

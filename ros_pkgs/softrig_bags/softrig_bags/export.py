@@ -93,13 +93,13 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
                     file(topic).add(piece)
             names += _file_names(bag.labels, names)
             columns.finish()
-            whole = [i for i in bag.chosen if columns.decoder(i) and not columns.reason(i)]
+            tabular = [i for i in bag.chosen if columns.decoder(i) and not columns.reason(i)]
             report_left_out(path, columns)
             for line in columns.untold():
                 print_line(f"{path}: {line}")
-            if not whole:
+            if not tabular:
                 raise BagError(f"{path}: none of its topics can be decoded, so there is nothing to export")
-            for topic in whole:
+            for topic in tabular:
                 with _named(file(topic).path):
                     written.append(file(topic).close())
             return [*map(_mat, written)] if file_format == "mat" else written
@@ -178,8 +178,8 @@ class _TopicFile:
     def _schema(self) -> Any:
         import pyarrow
 
-        kinds = [np.dtype(float)] * len(OWN) + [*self._kinds.values()]
-        return pyarrow.schema(list(zip(_headings(self._kinds), map(pyarrow.from_numpy_dtype, kinds), strict=True)))
+        dtypes = [np.dtype(float)] * len(OWN) + [*self._kinds.values()]
+        return pyarrow.schema(list(zip(_headings(self._kinds), map(pyarrow.from_numpy_dtype, dtypes), strict=True)))
 
     def close(self) -> Path:
         """Write the pending rows, move the table to its place and return its path."""
@@ -192,8 +192,8 @@ class _TopicFile:
             schema = self._schema
             joined = self.path.with_name(f".{self.path.name}.part")
             writer = _writer(joined, self.path.suffix, schema)
-            for part in self._parts:
-                for rows in _batches(part, self.path.suffix, schema):
+            for path in self._parts:
+                for rows in _batches(path, self.path.suffix, schema):
                     none = {pyarrow.float64(): pyarrow.array(np.full(rows.num_rows, np.nan))}
                     arrays = [
                         rows[field.name] if field.name in rows.schema.names
@@ -210,8 +210,8 @@ class _TopicFile:
 
     def abort(self) -> None:
         """Delete everything that has not been moved to its place."""
-        for part in self._parts:
-            part.unlink(missing_ok=True)
+        for path in self._parts:
+            path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -269,15 +269,15 @@ def _mat(table: Path) -> Path:
                 f"{table.stem}: {heading} is rounded to doubles: MATLAB's integers have no mark for what is missing"
             )
     file = table.with_suffix(".mat")
-    part = table.with_name(f".{file.name}.part")
+    partial = table.with_name(f".{file.name}.part")
     try:
         with _named(file):
-            savemat(part, variables, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
-        part.replace(file)
+            savemat(partial, variables, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+        partial.replace(file)
     except (ValueError, OverflowError) as error:
         raise BagError(f"{file}: {error}; a variable of MATLAB 5 has at most 2 GB: export csv or parquet") from None
     finally:
-        part.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
     return file
 
 

@@ -57,19 +57,19 @@ class RecordedMessages:
 
 
 def _blocks(i: int, topic: Topic) -> Iterator[Block]:
-    whole = topic.columns()
+    columns = topic.columns()
     n = topic.number
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
         number = np.full(last - first, i, np.int64)
-        if whole is None:
+        if columns is None:
             times = np.array(topic.times[first:last], np.int64)
             yield packed(topic.data[first:last], Block(EMPTY.raw, number, times, EMPTY.at, EMPTY.size))
             continue
-        part = whole.part(first, last)
-        rows = part.encoded(first)
+        chunk = columns.part(first, last)
+        rows = chunk.encoded(first)
         size = np.full(len(rows), rows.shape[1], np.int64)
-        yield Block(rows.reshape(-1), number, part.times, np.cumsum(size) - size, size)
+        yield Block(rows.reshape(-1), number, chunk.times, np.cumsum(size) - size, size)
 
 
 Messages = BagReader | RecordedMessages
@@ -82,8 +82,8 @@ def described(messages: Messages) -> list[Described]:
     return messages.topics
 
 
-def opened(what: Signals | Path | str, namespace: str = "") -> Messages:
+def opened(source: Signals | Path | str, namespace: str = "") -> Messages:
     """Return a context manager with the messages behind signals, or of a bag by its path and in a namespace."""
-    if isinstance(what, BagSignals):
-        return BagReader(what.path, namespace=what.namespace)
-    return RecordedMessages(what.recording) if isinstance(what, Signals) else BagReader(what, namespace=namespace)
+    if isinstance(source, BagSignals):
+        return BagReader(source.path, namespace=source.namespace)
+    return RecordedMessages(source.recording) if isinstance(source, Signals) else BagReader(source, namespace=namespace)

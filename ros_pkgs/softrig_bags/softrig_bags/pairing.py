@@ -73,29 +73,29 @@ class Pairing:
     def finish(self) -> tuple[Ints, Ints]:
         """Return the stamps of the messages that have no partner, of either bag."""
         self._match()
-        one, two = (_gathered(blocks) for blocks in self._waiting)
-        return self._keys(one), self._keys(two)
+        a, b = (_gathered(blocks) for blocks in self._waiting)
+        return self._keys(a), self._keys(b)
 
     def _match(self) -> None:
-        one, two = (_gathered(blocks) for blocks in self._waiting)
+        block_a, block_b = (_gathered(blocks) for blocks in self._waiting)
         # The decision stands for the whole topic: pairs by two different keys would not fit together.
         if not self._decided and self._stamped:
-            self._decide(one, two)
+            self._decide(block_a, block_b)
         self._decided = True
-        keys = self._keys(one), self._keys(two)
-        pairs = matched(*keys, one.size, two.size)
+        keys = self._keys(block_a), self._keys(block_b)
+        pairs = matched(*keys, block_a.size, block_b.size)
         if len(pairs[0]):
             self.paired += len(pairs[0])
-            self._compare(one, pairs[0], two, pairs[1], keys[0][pairs[0]])
-        for blocks, block, rows in zip(self._waiting, (one, two), pairs, strict=True):
+            self._compare(block_a, pairs[0], block_b, pairs[1], keys[0][pairs[0]])
+        for blocks, block, rows in zip(self._waiting, (block_a, block_b), pairs, strict=True):
             remaining = np.ones(len(block), bool)
             remaining[rows] = False
             blocks[:] = [block.select(remaining).compact()] if remaining.any() else []
         self._left, self._new = sum(len(b) for blocks in self._waiting for b in blocks), 0
 
-    def _decide(self, one: Block, two: Block) -> None:
+    def _decide(self, a: Block, b: Block) -> None:
         """Decide from the first stamps whether stamps date the messages."""
-        for name, block in (("A", one), ("B", two)):
+        for name, block in (("A", a), ("B", b)):
             if reason := useless(self._keys(block)):
                 self.note = f"{reason} in {name}: paired by bag time"
                 self._stamped = False
@@ -110,8 +110,8 @@ def keys_of(block: Block, stamped: bool) -> Ints:
     if not stamped or not len(block):
         return block.t
     keys = block.t.copy()
-    whole = block.size >= _SHORTEST
-    keys[whole] = stamps_of(block.raw, block.at[whole])
+    long_enough = block.size >= _SHORTEST
+    keys[long_enough] = stamps_of(block.raw, block.at[long_enough])
     return keys
 
 
@@ -134,8 +134,8 @@ def matched(a: Ints, b: Ints, size_a: Ints, size_b: Ints) -> tuple[NDArray[np.in
     if several.any():
         for order, first, size in ((order_a, first_a[at_a], size_a), (order_b, first_b[at_b], size_b)):
             for k, m in zip(first[several].tolist(), n[several].tolist(), strict=True):
-                part = order[k : k + m]
-                order[k : k + m] = part[np.argsort(size[part], kind="stable")]
+                run = order[k : k + m]
+                order[k : k + m] = run[np.argsort(size[run], kind="stable")]
     within = np.arange(int(n.sum())) - np.repeat(np.cumsum(n) - n, n)
     rows_a = order_a[np.repeat(first_a[at_a], n) + within]
     rows_b = order_b[np.repeat(first_b[at_b], n) + within]
@@ -147,16 +147,16 @@ def _gathered(blocks: Sequence[Block]) -> Block:
     """Return the messages of several blocks as one, in a file where they are many."""
     if sum(len(b.raw) for b in blocks) <= SPILL or len(blocks) == 1:
         return joined(blocks)
-    start, at = 0, []
+    start, starts = 0, []
     with tempfile.TemporaryFile() as file:
         for block in blocks:
             file.write(memoryview(block.raw))  # type: ignore[arg-type]
-            at.append(block.at + start)
+            starts.append(block.at + start)
             start += len(block.raw)
         file.flush()
         raw: Bytes = np.memmap(file, np.uint8, "r", shape=(start,))
     topic, t, size = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("topic", "t", "size"))
-    return Block(raw, topic, t, np.concatenate(at), size)
+    return Block(raw, topic, t, np.concatenate(starts), size)
 
 
 def equal_rows(a: Block, rows_a: NDArray[np.intp], b: Block, rows_b: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -165,11 +165,11 @@ def equal_rows(a: Block, rows_a: NDArray[np.intp], b: Block, rows_b: NDArray[np.
     same: NDArray[np.bool_] = size == b.size[rows_b]
     for length in distinct(size[same]):
         chosen = np.flatnonzero(same & (size == length))
-        one, two = rows_of(a.raw, a.at[rows_a[chosen]], length), rows_of(b.raw, b.at[rows_b[chosen]], length)
+        rows_1, rows_2 = rows_of(a.raw, a.at[rows_a[chosen]], length), rows_of(b.raw, b.at[rows_b[chosen]], length)
         # Words of eight bytes are compared at a time, which is faster than single bytes.
-        words = length // 8 * 8
-        good = (one[:, words:] == two[:, words:]).all(axis=1)
-        if words:
-            good &= (one[:, :words].view("<u8") == two[:, :words].view("<u8")).all(axis=1)
+        aligned = length // 8 * 8
+        good = (rows_1[:, aligned:] == rows_2[:, aligned:]).all(axis=1)
+        if aligned:
+            good &= (rows_1[:, :aligned].view("<u8") == rows_2[:, :aligned].view("<u8")).all(axis=1)
         same[chosen] = good
     return same

@@ -124,9 +124,9 @@ class BagSignals(Signals):
 def epoch_of(bag: BagReader) -> tuple[int, bool]:
     """Return the time in ns that becomes 0 s, and whether it is known to be the start of the run."""
     left = bag.custom_data.get(EPOCH, "")
-    own = int(left) if left.isdecimal() and len(left) < 20 and int(left) < 1 << 63 else 0
-    epoch = own or (bag.start if bag.start >= WALL_CLOCK else 0)
-    return epoch, bool(own) or not epoch
+    recorded = int(left) if left.isdecimal() and len(left) < 20 and int(left) < 1 << 63 else 0
+    epoch = recorded or (bag.start if bag.start >= WALL_CLOCK else 0)
+    return epoch, bool(recorded) or not epoch
 
 
 def signals(path: Path | str, namespace: str = "") -> BagSignals:

@@ -106,23 +106,23 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
         There is nothing to save, or the target exists.
     """
     result = remains(Path(path).absolute())
-    place = result.place
+    damaged = result.place
     target = Path(out).absolute() if out is not None else None
     if result.shards:
-        return _repair_shards(result.shards, target or place.with_name("bag"))
+        return _repair_shards(result.shards, target or damaged.with_name("bag"))
     # With an output path a new bag is wanted in any case. With a journal beside a file, a reader of the file alone
     # would miss committed rows.
-    if place.is_dir() and target is None and not result.pending and _is_sound(place):
+    if damaged.is_dir() and target is None and not result.pending and _is_sound(damaged):
         return Repair(None, [])
     original = None
-    if target is None and place.is_file():
-        target = place.with_name(plain(place).stem + "_repaired")
+    if target is None and damaged.is_file():
+        target = damaged.with_name(plain(damaged).stem + "_repaired")
     elif target is None:
-        target = place.with_name(_UNFINISHED.sub(r"\1", place.name))
-        original = place.with_name(place.name + ".damaged")
-    for other in (target, original):
-        if other is not None and other != place and other.exists():
-            raise BagError(f"{other} exists already; move it away first")
+        target = damaged.with_name(_UNFINISHED.sub(r"\1", damaged.name))
+        original = damaged.with_name(damaged.name + ".damaged")
+    for existing in (target, original):
+        if existing is not None and existing != damaged and existing.exists():
+            raise BagError(f"{existing} exists already; move it away first")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.name}.part")
     # A repair that was killed may have left its folder here.
@@ -131,10 +131,10 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
         reports, saved = _rewrite(result, temporary, target.name)
         # Definitions or names in it may be damaged too; such a bag must not replace the files it was made of.
         if not _is_sound(temporary):
-            raise BagError(f"{place}: the rest of it is not a readable bag")
+            raise BagError(f"{damaged}: the rest of it is not a readable bag")
         if original is not None:
             # The old bag gives way only now that the new one has been read completely.
-            place.rename(original)
+            damaged.rename(original)
         temporary.rename(target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -208,11 +208,11 @@ def _recover(source: Path, report: FileReport, scratch: Path) -> Iterator[tuple[
     with expanded(source, scratch) as (path, lost):
         read = _recover_mcap(path, report) if path.suffix == ".mcap" else _recover_sqlite3(path, report, scratch)
         for topic, t, data in read:
-            whole = expanded_message(data)
-            if whole is None:
+            message = expanded_message(data)
+            if message is None:
                 report.lost.append(f"a message of {topic.name} at {t} ns")
             else:
-                yield topic, t, whole
+                yield topic, t, message
         report.lost += lost
         # rosbag2 compresses a file after it has closed it, so a file that can be expanded whole had its index.
         if path != source:
@@ -223,7 +223,7 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     topics: dict[int, BagTopic] = {}
-    other: Counter[str] = Counter()
+    left_out: Counter[str] = Counter()
     recovery = Recovery(path)
     for record in recovery:
         report.compression = recovery.compression
@@ -238,17 +238,17 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
         elif isinstance(record, Message) and record.channel_id in topics:
             yield topics[record.channel_id], record.log_time, record.data
         elif isinstance(record, Message):
-            other["messages on channels that are not described"] += 1
+            left_out["messages on channels that are not described"] += 1
         elif isinstance(record, Attachment):
-            other[f"attachment {record.name}"] += 1
+            left_out[f"attachment {record.name}"] += 1
         elif isinstance(record, Metadata) and record.name == "rosbag2":
             report.custom_data = custom_data(record.metadata.get("serialized_metadata", "")) or report.custom_data
         elif isinstance(record, Metadata):
-            other[f"metadata {record.name}"] += 1
+            left_out[f"metadata {record.name}"] += 1
         elif isinstance(record, Footer):
             report.indexed = True
     report.lost += recovery.lost
-    report.left_out += [f"{count} {what}" for what, count in other.items()]
+    report.left_out += [f"{count} {name}" for name, count in left_out.items()]
 
 
 def _mcap_topic(channel: Channel, schema: Schema | None) -> BagTopic:
@@ -299,8 +299,8 @@ def _repair_shards(shards: list[Path], target: Path) -> Repair:
     for shard in shards:
         before = sum(t.number for t in recording.topics.values())
         lost = recording.read_shard(shard)
-        kept = sum(t.number for t in recording.topics.values()) - before
-        reports.append(FileReport(shard.name, kept, [f"the last {lost} bytes"] if lost else [], indexed=True))
+        saved = sum(t.number for t in recording.topics.values()) - before
+        reports.append(FileReport(shard.name, saved, [f"the last {lost} bytes"] if lost else [], indexed=True))
     if not any(r.kept for r in reports):
         raise BagError(f"{shards[0].parent}: not one whole message in its shards")
     write_bag(target, recording)

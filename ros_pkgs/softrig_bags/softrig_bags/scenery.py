@@ -47,14 +47,14 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
     columns = Signals(recording).table(topic).columns
     chosen = [x[rows].tolist() for label, x in columns.items() if label.endswith("/position")]
     times, q = ticks[rows].tolist(), list(zip(*chosen, strict=True))
-    path = [scene.tip(at) for at in q[:: -(-len(q) // PATH)]]
+    path = [scene.tip(joints) for joints in q[:: -(-len(q) // PATH)]]
     first = times[0]
     add(result, "robot_description", STRING, first, data=scene.description)
     still = [at_origin(scene.base), *scene.fixed()]
     add(result, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in still])
     add(result, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
-    for t, at in zip(times, q, strict=True):
-        add(result, "tf", TF, t, transforms=[_transform(t, pose) for pose in scene.moving(at)])
+    for t, joints in zip(times, q, strict=True):
+        add(result, "tf", TF, t, transforms=[_transform(t, pose) for pose in scene.moving(joints)])
     return result
 
 
@@ -81,8 +81,8 @@ def _vector(kind: str, values: Sequence[float]) -> Any:
 
 
 def _transform(t: int, pose: Pose) -> Any:
-    place, turn = _vector("Vector3", pose.position), _vector("Quaternion", pose.rotation)
-    transform = make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
+    translation, turn = _vector("Vector3", pose.position), _vector("Quaternion", pose.rotation)
+    transform = make("geometry_msgs/msg/Transform", translation=translation, rotation=turn)
     return make(
         "geometry_msgs/msg/TransformStamped",
         header=header(t, pose.parent),

@@ -107,20 +107,20 @@ class Columns:
 
     def _piece(self, topic: int, decoder: Decoder, block: Block) -> Piece:
         groups = [*decoder.groups(block.raw, block.at, block.size)]
-        good = [(rows, made, data) for rows, made, data in groups if isinstance(made, Template)]
+        good = [(rows, layout, data) for rows, layout, data in groups if isinstance(layout, Template)]
         # The columns are in the order of the messages that first have them.
         good.sort(key=lambda group: group[0][0])
-        for rows, made, _ in groups:
-            if isinstance(made, Undecodable):
-                self._note(topic, int(block.t[rows[0]]), str(made), len(rows))
+        for rows, layout, _ in groups:
+            if isinstance(layout, Undecodable):
+                self._note(topic, int(block.t[rows[0]]), str(layout), len(rows))
         if self.texts is not None:
-            for _, made, data in good:
-                self._note_texts(self.texts.setdefault(topic, {}), topic, made, data)
-        for _, made, _ in good:
-            self._left(topic).fields |= dict.fromkeys(made.omitted) if made.omitted else {}
+            for _, layout, data in good:
+                self._note_texts(self.texts.setdefault(topic, {}), topic, layout, data)
+        for _, layout, _ in good:
+            self._left(topic).fields |= dict.fromkeys(layout.omitted) if layout.omitted else {}
         if len(good) == 1 and len(good[0][0]) == len(block):
-            _, made, data = good[0]
-            return Piece(block.t, made.stamps(data) if made.stamp_at else block.t, made.columns(data), {})
+            _, layout, data = good[0]
+            return Piece(block.t, layout.stamps(data) if layout.stamp_at else block.t, layout.columns(data), {})
         return _merged(block, good)
 
     def _note(self, topic: int, t: int, damage: str, n: int) -> None:
@@ -129,17 +129,17 @@ class Columns:
             left.first, left.damage = t, damage
         left.messages += n
 
-    def _note_texts(self, texts: dict[str, set[str]], topic: int, made: Template, rows: Bytes) -> None:
+    def _note_texts(self, texts: dict[str, set[str]], topic: int, layout: Template, rows: Bytes) -> None:
         """Note the texts of messages that are not in a table; in the suite's own types only a frame is one."""
-        ours = self._bag.topics[topic].msgtype in TYPES
-        for leaf in made.leaves:
-            if not leaf.text or (ours and leaf.path != FRAME):
+        own_type = self._bag.topics[topic].msgtype in TYPES
+        for leaf in layout.leaves:
+            if not leaf.text or (own_type and leaf.path != FRAME):
                 continue
             result = texts.setdefault(re.sub(r"/\d+(?=/|$)", "/*", leaf.path), set())
             if len(result) < 2:
-                part = rows[:, leaf.at : leaf.at + int(leaf.kind[1:]) * leaf.n]
-                other = int((part != part[0]).any(axis=1).argmax())
-                result.update(made.texts(rows[[0, other]], leaf))
+                cells = rows[:, leaf.at : leaf.at + int(leaf.kind[1:]) * leaf.n]
+                first = int((cells != cells[0]).any(axis=1).argmax())
+                result.update(layout.texts(rows[[0, first]], leaf))
 
     def untold(self) -> Iterator[str]:
         """Describe the texts that the tables do not show; a frame only where it changes."""
@@ -180,11 +180,11 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
     columns: dict[str, Column] = {}
     absent: dict[str, NDArray[np.bool_]] = {}
     decoded = np.zeros(len(block), bool)
-    for rows, made, data in groups:
+    for rows, layout, data in groups:
         decoded[rows] = True
-        if made.stamp_at:
-            stamp[rows] = made.stamps(data)
-        for label, x in made.columns(data).items():
+        if layout.stamp_at:
+            stamp[rows] = layout.stamps(data)
+        for label, x in layout.columns(data).items():
             if label not in columns:
                 columns[label] = lacking(len(block), x.dtype)
                 absent[label] = np.ones(len(block), bool)
@@ -205,11 +205,11 @@ def stacked(pieces: list[Piece]) -> Piece:
     """Return the rows of several tables one after the other; columns that one of them lacks are NaN or 0 there."""
     if len(pieces) == 1:
         return pieces[0]
-    kinds = {label: x.dtype for piece in pieces for label, x in piece.columns.items()}
+    dtypes = {label: x.dtype for piece in pieces for label, x in piece.columns.items()}
     columns, absent = {}, {}
-    for label, kind in kinds.items():
-        parts = (p.columns[label] if label in p.columns else lacking(len(p.t), kind) for p in pieces)
-        columns[label] = np.concatenate([*parts])
+    for label, kind in dtypes.items():
+        columns_of = (p.columns[label] if label in p.columns else lacking(len(p.t), kind) for p in pieces)
+        columns[label] = np.concatenate([*columns_of])
         if any(label in p.absent or label not in p.columns for p in pieces):
             lacks = (p.absent.get(label, np.full(len(p.t), label not in p.columns)) for p in pieces)
             absent[label] = np.concatenate([*lacks])

@@ -44,19 +44,19 @@ class Block:
 
     def compact(self) -> Block:
         """Return the messages in a separate buffer that contains nothing else."""
-        at, start, parts = np.empty_like(self.at), 0, []
+        starts, start, pieces = np.empty_like(self.at), 0, []
         for length in distinct(self.size):
             chosen = np.flatnonzero(self.size == length)
             rows = rows_of(self.raw, self.at[chosen], length)
-            parts.append(np.ascontiguousarray(rows).reshape(-1))
-            at[chosen] = start + length * np.arange(len(rows))
+            pieces.append(np.ascontiguousarray(rows).reshape(-1))
+            starts[chosen] = start + length * np.arange(len(rows))
             start += rows.size
-        return Block(np.concatenate([*parts, np.empty(0, np.uint8)]), self.topic, self.t, at, self.size)
+        return Block(np.concatenate([*pieces, np.empty(0, np.uint8)]), self.topic, self.t, starts, self.size)
 
     def data(self, i: int) -> bytes:
         """Return the bytes of one message."""
-        at = int(self.at[i])
-        return self.raw[at : at + int(self.size[i])].tobytes()
+        start = int(self.at[i])
+        return self.raw[start : start + int(self.size[i])].tobytes()
 
     def texts(self) -> Iterator[bytes]:
         """Return the bytes of all messages in their order: as one piece where they have one length."""
@@ -69,8 +69,8 @@ class Block:
         """Return topic number, bag time and bytes of each message."""
         view = memoryview(self.raw)
         rows = zip(self.topic.tolist(), self.t.tolist(), self.at.tolist(), self.size.tolist(), strict=True)
-        for topic, t, at, size in rows:
-            yield topic, t, bytes(view[at : at + size])
+        for topic, t, start, size in rows:
+            yield topic, t, bytes(view[start : start + size])
 
 
 _NONE = np.empty(0, np.int64)
@@ -91,17 +91,17 @@ def joined(blocks: Sequence[Block]) -> Block:
     if not blocks:
         return EMPTY
     starts = np.cumsum([0, *(len(b.raw) for b in blocks[:-1])])
-    at = np.concatenate([b.at + start for b, start in zip(blocks, starts.tolist(), strict=True)])
+    offsets = np.concatenate([b.at + start for b, start in zip(blocks, starts.tolist(), strict=True)])
     raw, topic, t, size = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("raw", "topic", "t", "size"))
-    return Block(raw, topic, t, at, size)
+    return Block(raw, topic, t, offsets, size)
 
 
-def numbers_at(raw: Bytes, at: Ints, kind: str) -> NDArray[Any]:
+def numbers_at(raw: Bytes, starts: Ints, kind: str) -> NDArray[Any]:
     """Return the numbers of one type, as numpy names it, that begin at some bytes of a buffer, aligned or not."""
     width = int(kind[-1])
-    if not len(at):
+    if not len(starts):
         return np.empty(0, kind)
-    return np.ndarray((len(raw) - width + 1,), kind, raw, strides=(1,))[at]  # type: ignore[call-overload, no-any-return]
+    return np.ndarray((len(raw) - width + 1,), kind, raw, strides=(1,))[starts]  # type: ignore[call-overload, no-any-return]
 
 
 def distinct(numbers: Ints) -> list[int]:
@@ -115,14 +115,14 @@ def distinct(numbers: Ints) -> list[int]:
     return np.unique(numbers).tolist()
 
 
-def rows_of(raw: Bytes, at: Ints, length: int) -> Bytes:
+def rows_of(raw: Bytes, starts: Ints, length: int) -> Bytes:
     """Return pieces of equal length as the rows of an array, a view where they are evenly spaced.
 
     Parameters
     ----------
     raw : array of uint8
         Buffer.
-    at : array of int64, shape (n,)
+    starts : array of int64, shape (n,)
         Where the pieces begin; all of them are inside of the buffer.
     length : int
         Bytes of a piece.
@@ -132,10 +132,10 @@ def rows_of(raw: Bytes, at: Ints, length: int) -> Bytes:
     array of uint8, shape (n, length)
         Not to be written to.
     """
-    n = len(at)
+    n = len(starts)
     if not n or not length:
         return np.empty((n, length), np.uint8)
-    step = int(at[1] - at[0]) if n > 1 else length
-    if step > 0 and (n < 3 or bool((np.diff(at) == step).all())):
-        return np.lib.stride_tricks.as_strided(raw[int(at[0]) :], (n, length), (step, 1), writeable=False)
-    return np.lib.stride_tricks.sliding_window_view(raw, length)[at]
+    step = int(starts[1] - starts[0]) if n > 1 else length
+    if step > 0 and (n < 3 or bool((np.diff(starts) == step).all())):
+        return np.lib.stride_tricks.as_strided(raw[int(starts[0]) :], (n, length), (step, 1), writeable=False)
+    return np.lib.stride_tricks.sliding_window_view(raw, length)[starts]

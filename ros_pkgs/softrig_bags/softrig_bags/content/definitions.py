@@ -58,8 +58,8 @@ def types_of(msgtype: str, text: str, language: str) -> Types:
         raise UnknownType(f"its definition is in {language or 'no language'}, expected ros2msg or ros2idl")
     result: Types = {}
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\ufeff", "")
-    for part in _DELIMITER.split(text):
-        kind, name, body = language, msgtype, part.strip("\n")
+    for section in _DELIMITER.split(text):
+        kind, name, body = language, msgtype, section.strip("\n")
         head, _, remaining = body.partition("\n")
         if head[:5] in ("MSG: ", "IDL: "):
             kind, name, body = "ros2msg" if head[0] == "M" else "ros2idl", full_type(head[5:].strip()), remaining
@@ -111,12 +111,12 @@ def _of_msg(owner: str, text: str) -> list[tuple[str, Any]]:
     return fields
 
 
-def complete(msgtype: str, own: Mapping[str, Any], distribution: str = "") -> Types:
+def complete(msgtype: str, defined: Mapping[str, Any], distribution: str = "") -> Types:
     """Return a type and all types in it; types that the bag does not define are those of this installation.
 
     Parameters
     ----------
-    own : mapping
+    defined : mapping
         What the bag defines, from `types_of`.
     distribution : str
         ROS distribution that wrote the bag: its definitions count before those of this one.
@@ -132,10 +132,10 @@ def complete(msgtype: str, own: Mapping[str, Any], distribution: str = "") -> Ty
         name = waiting.pop()
         if name in result:
             continue
-        definition = own.get(name) or _known(name, distribution)
+        definition = defined.get(name) or _known(name, distribution)
         if definition is None:
-            inside = "" if name == msgtype else f", which is in {msgtype}"
-            raise UnknownType(f"no definition of {name}{inside}, in the bag or here")
+            context = "" if name == msgtype else f", which is in {msgtype}"
+            raise UnknownType(f"no definition of {name}{context}, in the bag or here")
         result[name] = definition
         for _, description in definition[1]:
             kind, detail = description

@@ -23,16 +23,16 @@ Visit = Callable[[NDArray[np.intp], str, Any, Any], None]
 
 def groups_of(decoder: Decoder | None, block: Block, rows: NDArray[np.intp]) -> Groups:
     """Return some messages of a block by shape; those that cannot be decoded one by one, without a template."""
-    at, size = block.at[rows], block.size[rows]
+    starts, size = block.at[rows], block.size[rows]
     if decoder is None:
         return [
-            (np.array([k]), None, block.raw[a : a + n][None]) for k, (a, n) in enumerate(zip(at, size, strict=True))
+            (np.array([k]), None, block.raw[a : a + n][None]) for k, (a, n) in enumerate(zip(starts, size, strict=True))
         ]
-    result = decoder.groups(block.raw, at, size)
-    return [(chosen, made if isinstance(made, Template) else None, data) for chosen, made, data in result]
+    result = decoder.groups(block.raw, starts, size)
+    return [(chosen, layout if isinstance(layout, Template) else None, data) for chosen, layout, data in result]
 
 
-def visit_pairs(msgtype: str, one: Groups, two: Groups, visit: Visit) -> None:
+def visit_pairs(msgtype: str, a: Groups, b: Groups, visit: Visit) -> None:
     """Show the fields of all pairs: row k of one belongs to row k of the other.
 
     Parameters
@@ -42,8 +42,8 @@ def visit_pairs(msgtype: str, one: Groups, two: Groups, visit: Visit) -> None:
     visit : callable
         See `Visit`; called for each field of messages of like shapes.
     """
-    for chosen_a, made_a, data_a in one:
-        for chosen_b, made_b, data_b in two:
+    for chosen_a, made_a, data_a in a:
+        for chosen_b, made_b, data_b in b:
             rows, at_a, at_b = np.intersect1d(chosen_a, chosen_b, assume_unique=True, return_indices=True)
             if len(rows):
                 _visit_group(msgtype, rows, made_a, data_a[at_a], made_b, data_b[at_b], visit)
@@ -69,36 +69,38 @@ def _visit_group(
 
 def bytes_that_differ(a: bytes, b: bytes, label: str) -> tuple[str, list[str], list[str]]:
     """Return a label and eight bytes of either message from the first on that differs, as hexadecimal texts."""
-    at = next((i for i, (p, q) in enumerate(zip(a, b, strict=False)) if p != q), min(len(a), len(b)))
-    return label.format(at=at), [a[at : at + 8].hex()], [b[at : at + 8].hex()]
+    index = next((i for i, (p, q) in enumerate(zip(a, b, strict=False)) if p != q), min(len(a), len(b)))
+    return label.format(at=index), [a[index : index + 8].hex()], [b[index : index + 8].hex()]
 
 
-def _fields(msgtype: str, made: Template, data: Bytes) -> Iterator[tuple[str, Any]]:
+def _fields(msgtype: str, layout: Template, data: Bytes) -> Iterator[tuple[str, Any]]:
     """Return all that messages of a shape hold, but stamps: numbers, texts as lists, arrays too long for columns."""
-    columned = {leaf.at for _, leaf, _ in made.labels}
+    columned = {leaf.at for _, leaf, _ in layout.labels}
     blocks: dict[int, NDArray[Any]] = {}
-    for label, leaf, k in made.labels:
+    for label, leaf, k in layout.labels:
         if leaf.at not in blocks:
-            result = made.values(data, leaf)
+            result = layout.values(data, leaf)
             blocks[leaf.at] = result if leaf.kind in ("i8", "u8") else result.astype(np.float64)
         yield label, blocks[leaf.at][:, k]
     texts: dict[str, list[str]] = {}
     joints: list[list[str]] = []
-    for leaf in made.leaves:
+    for leaf in layout.leaves:
         if leaf.text and leaf.path.startswith(JOINTS.get(msgtype, "/")):
-            joints.append(made.texts(data, leaf))
+            joints.append(layout.texts(data, leaf))
             texts["name"] = []
         elif leaf.text:
-            _add_text(msgtype, texts, leaf.path, made.texts(data, leaf))
-        elif leaf.n and leaf.at not in columned and leaf.at not in (made.stamp_at, made.stamp_at + 4):
+            _add_text(msgtype, texts, leaf.path, layout.texts(data, leaf))
+        elif leaf.n and leaf.at not in columned and leaf.at not in (layout.stamp_at, layout.stamp_at + 4):
             if msgtype in JOINTS and leaf.path.startswith(DURATION):
                 continue
-            yield leaf.path, made.values(data, leaf).astype(np.float64)
+            yield leaf.path, layout.values(data, leaf).astype(np.float64)
     if joints:
         texts["name"] = [_in_order(row) for row in zip(*joints, strict=True)]
     yield from texts.items()
-    if msgtype == "trajectory_msgs/msg/JointTrajectory" and not any(x.startswith(DURATION) for x, _, _ in made.labels):
-        ends = {leaf.path: made.values(data, leaf)[:, 0] for leaf in made.leaves if leaf.path.startswith(DURATION)}
+    if msgtype == "trajectory_msgs/msg/JointTrajectory" and not any(
+        x.startswith(DURATION) for x, _, _ in layout.labels
+    ):
+        ends = {leaf.path: layout.values(data, leaf)[:, 0] for leaf in layout.leaves if leaf.path.startswith(DURATION)}
         if ends:
             yield "time_from_start", ends[f"{DURATION}sec"] + ends[f"{DURATION}nanosec"] / SECOND
 

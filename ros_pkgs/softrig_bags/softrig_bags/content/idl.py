@@ -129,10 +129,10 @@ class IdlReader:
             while self._accept("["):
                 sizes.append(self._number())
                 self._want("]")
-            whole = kind
+            declared = kind
             for size in reversed(sizes):
-                whole = Nodetype.ARRAY, (whole, size)
-            result.append((name, whole))
+                declared = Nodetype.ARRAY, (declared, size)
+            result.append((name, declared))
             if not self._accept(","):
                 return result
 

@@ -180,8 +180,8 @@ def definition_of(msgtype: str) -> tuple[str, str] | None:
     if msgtype not in _HASHES:
         return None
     names = list(dict.fromkeys(_within(msgtype)))
-    parts = [_FIELDS[msgtype], *(f"MSG: {name.replace('/msg/', '/')}\n{_FIELDS[name]}" for name in names[1:])]
-    return f"{_BETWEEN}\n".join(parts), _HASHES[msgtype]
+    sections = [_FIELDS[msgtype], *(f"MSG: {name.replace('/msg/', '/')}\n{_FIELDS[name]}" for name in names[1:])]
+    return f"{_BETWEEN}\n".join(sections), _HASHES[msgtype]
 
 
 def _within(msgtype: str) -> list[str]:

@@ -91,19 +91,19 @@ class Template:
         for begin, mask, expected in self._words:
             result = rows[:, begin : begin + 8 * len(mask)].view("<u8")
             good &= ((result & mask) == expected).all(axis=1)
-        for at, text in self.fixed:
+        for start, text in self.fixed:
             # These are in the last bytes, which do not fill a word and are not in `_words`.
-            if at + len(text) > self.length // 8 * 8:
-                good &= (rows[:, at : at + len(text)] == np.frombuffer(text, np.uint8)).all(axis=1)
+            if start + len(text) > self.length // 8 * 8:
+                good &= (rows[:, start : start + len(text)] == np.frombuffer(text, np.uint8)).all(axis=1)
         return good
 
     @cached_property
     def _words(self) -> list[tuple[int, NDArray[np.uint64], NDArray[np.uint64]]]:
         """Return runs of eight-byte words with fixed bits: where they begin, which bits are fixed, and their values."""
         mask, expected = np.zeros(self.length // 8 * 8, np.uint8), np.zeros(self.length // 8 * 8, np.uint8)
-        for at, text in self.fixed:
-            n = len(mask[at : at + len(text)])
-            mask[at : at + n], expected[at : at + n] = 0xFF, np.frombuffer(text[:n], np.uint8)
+        for start, text in self.fixed:
+            n = len(mask[start : start + len(text)])
+            mask[start : start + n], expected[start : start + n] = 0xFF, np.frombuffer(text[:n], np.uint8)
         used = np.flatnonzero(mask.view("<u8"))
         runs = np.split(used, np.flatnonzero(np.diff(used) > 2) + 1) if len(used) else []
         spans = [(int(run[0]), int(run[-1]) + 1) for run in runs]
@@ -119,9 +119,9 @@ class Template:
 
     def stamps(self, rows: Bytes) -> Ints:
         """Return the header stamps of messages, ns, shape (n,)."""
-        at = self.stamp_at
-        parts = (rows[:, a : a + 4].view(self.order + k)[:, 0] for a, k in ((at, "i4"), (at + 4, "u4")))
-        seconds, remaining = (part.astype(np.int64) for part in parts)
+        start = self.stamp_at
+        fields = (rows[:, a : a + 4].view(self.order + k)[:, 0] for a, k in ((start, "i4"), (start + 4, "u4")))
+        seconds, remaining = (value.astype(np.int64) for value in fields)
         return seconds * 10**9 + remaining
 
     def columns(self, rows: Bytes) -> dict[str, Column]:
@@ -143,8 +143,8 @@ class Template:
         coding, width = leaf.text, {"utf-8": 1, "utf-16": 2, "utf-32": 4}[leaf.text]
         if width > 1:
             coding += "-le" if self.order == "<" else "-be"
-        part = np.ascontiguousarray(rows[:, leaf.at : leaf.at + width * leaf.n])
-        return [bytes(row).decode(coding, "backslashreplace") for row in part]
+        cells = np.ascontiguousarray(rows[:, leaf.at : leaf.at + width * leaf.n])
+        return [bytes(row).decode(coding, "backslashreplace") for row in cells]
 
 
 def stamped(msgtype: str, types: Types) -> bool:
@@ -159,12 +159,12 @@ def _has_stamp(i: int, name: str, msgtype: str) -> bool:
     return (i == 0 and msgtype in _STAMPS) or (name == "header" and msgtype == _STAMPS[0])
 
 
-def stamps_of(raw: Bytes, at: Ints) -> Ints:
+def stamps_of(raw: Bytes, starts: Ints) -> Ints:
     """Return the stamps in ns of messages that begin with one; all of them have at least 12 bytes."""
-    result = np.empty(len(at), np.int64)
-    little = (raw[at + 1] & 1).astype(bool)
+    result = np.empty(len(starts), np.int64)
+    little = (raw[starts + 1] & 1).astype(bool)
     for order, chosen in (("<", little), (">", ~little)):
-        some = at if chosen.all() else at[chosen]
+        some = starts if chosen.all() else starts[chosen]
         seconds, remaining = numbers_at(raw, some + 4, order + "i4"), numbers_at(raw, some + 8, order + "u4")
         result[chosen] = seconds.astype(np.int64) * 10**9 + remaining
     return result
@@ -197,17 +197,17 @@ class _Maker:
 
     def _move(self, n: int, path: str) -> int:
         """Advance by some bytes; return where they begin."""
-        at = self._at
+        start = self._at
         self._at += n
         if self._at > len(self._data):
             raise Undecodable(f"it ends within {path.removeprefix('/') or 'its first field'}")
-        return at
+        return start
 
     def _length(self, path: str) -> int:
         self._align(4)
-        at = self._move(4, path)
-        self.template.fixed.append((at, self._data[at : at + 4]))
-        return int.from_bytes(self._data[at : at + 4], "little" if self.template.order == "<" else "big")
+        start = self._move(4, path)
+        self.template.fixed.append((start, self._data[start : start + 4]))
+        return int.from_bytes(self._data[start : start + 4], "little" if self.template.order == "<" else "big")
 
     def _struct(self, msgtype: str, path: str) -> None:
         fields = self._types[msgtype][1]
@@ -256,8 +256,8 @@ class _Maker:
         if n:
             self._align(width)
         self._empty += n == 0 and width == 8
-        at = self._move(n * width, path)
-        leaf = Leaf(path[1:], kind, at, n, name == "bool", name in _OCTETS and not single)
+        start = self._move(n * width, path)
+        leaf = Leaf(path[1:], kind, start, n, name == "bool", name in _OCTETS and not single)
         self.template.leaves.append(leaf)
         if n > (LONGEST_OCTETS if leaf.octets else LONGEST):
             self.template.omitted.append(f"{leaf.path} of {n} elements")
@@ -269,16 +269,16 @@ class _Maker:
     def _text(self, name: str, path: str) -> None:
         n = self._length(path)
         if name == "wstring":
-            at = self._move(n * self._wide, path)
+            start = self._move(n * self._wide, path)
             if self._wide == 4 and any(
-                x > _LAST_LETTER for x in np.frombuffer(self._data, f"{self.template.order}u4", n, at)
+                x > _LAST_LETTER for x in np.frombuffer(self._data, f"{self.template.order}u4", n, start)
             ):
                 raise Undecodable(f"{path[1:]} has letters that do not exist")
-            self.template.leaves.append(Leaf(path[1:], "u1", at, n, text="utf-16" if self._wide == 2 else "utf-32"))
+            self.template.leaves.append(Leaf(path[1:], "u1", start, n, text="utf-16" if self._wide == 2 else "utf-32"))
             return
-        at = self._move(n, path)
-        ends = n > 0 and self._data[at + n - 1] == 0
-        self.template.leaves.append(Leaf(path[1:], "u1", at, n - ends, text="utf-8"))
+        start = self._move(n, path)
+        ends = n > 0 and self._data[start + n - 1] == 0
+        self.template.leaves.append(Leaf(path[1:], "u1", start, n - ends, text="utf-8"))
 
 
 def template(msgtype: str, types: Types, data: bytes) -> Template:
@@ -299,14 +299,14 @@ def template(msgtype: str, types: Types, data: bytes) -> Template:
         The message does not match its definition.
     """
     try:
-        made = _Maker(types, data, 4).make(msgtype)
+        result = _Maker(types, data, 4).make(msgtype)
     except Undecodable:
         if not _is_wide(types):
             raise
         # Wide characters had four bytes in older distributions and have two in newer ones; the message shows which.
-        made = _Maker(types, data, 2).make(msgtype)
-    _name_columns(msgtype, made, data)
-    return made
+        result = _Maker(types, data, 2).make(msgtype)
+    _name_columns(msgtype, result, data)
+    return result
 
 
 def _is_wide(types: Types) -> bool:
@@ -319,30 +319,32 @@ def _is_wide(types: Types) -> bool:
     return any(wide(kind) for _, fields in types.values() for _, kind in fields)
 
 
-def _name_columns(msgtype: str, made: Template, data: bytes) -> None:
+def _name_columns(msgtype: str, layout: Template, data: bytes) -> None:
     """Name the columns of the suite's own types as it does, by channels or dimensions; leave out stamps."""
-    stamp = (made.stamp_at, made.stamp_at + 4) if made.stamp_at else ()
-    made.labels = [row for row in made.labels if row[1].at not in stamp]
+    stamp = (layout.stamp_at, layout.stamp_at + 4) if layout.stamp_at else ()
+    layout.labels = [row for row in layout.labels if row[1].at not in stamp]
     if msgtype not in TYPES:
         return
-    texts = {leaf.path: leaf for leaf in made.leaves if leaf.text}
+    texts = {leaf.path: leaf for leaf in layout.leaves if leaf.text}
     rows = np.frombuffer(data, np.uint8)[None]
-    read = {path: made.texts(rows, leaf)[0] for path, leaf in texts.items()}
+    read = {path: layout.texts(rows, leaf)[0] for path, leaf in texts.items()}
     # Also where the columns keep their places as names: a message that is named otherwise has another shape.
     for path in _NAMING.get(msgtype, ()):
-        for at in (leaf for p, leaf in texts.items() if p.startswith(path)):
-            made.fixed.append((at.at, data[at.at : at.at + at.n]))
+        for text_leaf in (leaf for p, leaf in texts.items() if p.startswith(path)):
+            layout.fixed.append((text_leaf.at, data[text_leaf.at : text_leaf.at + text_leaf.n]))
     if msgtype == "std_msgs/msg/Float64MultiArray":
-        made.fixed += [
+        layout.fixed += [
             (leaf.at, data[leaf.at : leaf.at + 4])
-            for leaf in made.leaves
+            for leaf in layout.leaves
             if leaf.path.startswith("layout/dim/") and leaf.path.endswith("/size")
         ]
-    renamed = _RENAMED.get(msgtype, lambda labels, *_: labels)([label for label, _, _ in made.labels], read, made, rows)
+    renamed = _RENAMED.get(msgtype, lambda labels, *_: labels)(
+        [label for label, _, _ in layout.labels], read, layout, rows
+    )
     if renamed is None or len(set(renamed)) != len(renamed):
         return
-    made.labels = [
-        (new, leaf, k) for new, (_, leaf, k) in zip(renamed, made.labels, strict=True) if not new.startswith("\0")
+    layout.labels = [
+        (new, leaf, k) for new, (_, leaf, k) in zip(renamed, layout.labels, strict=True) if not new.startswith("\0")
     ]
 
 
@@ -351,7 +353,7 @@ def _joints(labels: Sequence[str], texts: Mapping[str, str], *_: Any) -> list[st
     return [_channel(names, *label.rpartition("/")[::2]) for label in labels]
 
 
-def _trajectory(labels: Sequence[str], texts: Mapping[str, str], made: Template, rows: Bytes) -> list[str] | None:
+def _trajectory(labels: Sequence[str], texts: Mapping[str, str], layout: Template, rows: Bytes) -> list[str] | None:
     if any(label.startswith("points/1/") for label in labels) or not labels:
         return None
     names, result = _listed(texts, "joint_names/"), []
@@ -360,23 +362,25 @@ def _trajectory(labels: Sequence[str], texts: Mapping[str, str], made: Template,
         if name == "time_from_start":
             result.append(f"\0{label}")
         else:
-            one = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration"}.get(name, name)
-            result.append(_channel(names, one, index))
+            single = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration"}.get(
+                name, name
+            )
+            result.append(_channel(names, single, index))
     return result
 
 
-def _array(labels: Sequence[str], _: Any, made: Template, rows: Bytes) -> list[str] | None:
+def _array(labels: Sequence[str], _: Any, layout: Template, rows: Bytes) -> list[str] | None:
     sizes = [
-        int(made.values(rows, leaf)[0, 0])
-        for leaf in made.leaves
+        int(layout.values(rows, leaf)[0, 0])
+        for leaf in layout.leaves
         if leaf.path.startswith("layout/dim/") and leaf.path.endswith("/size")
     ]
     n = sum(label.startswith("data/") for label in labels)
     if sizes and math.prod(sizes) != n:
         return None
     elements = [",".join(map(str, index)) for index in np.ndindex(*sizes)] if sizes else [f"data/{i}" for i in range(n)]
-    others = iter(elements)
-    return [next(others) if label.startswith("data/") else "\0" + label for label in labels]
+    names = iter(elements)
+    return [next(names) if label.startswith("data/") else "\0" + label for label in labels]
 
 
 def _listed(texts: Mapping[str, str], prefix: str) -> list[str]:
@@ -421,7 +425,7 @@ class Decoder:
         self.stamped = stamped(msgtype, types)
 
     def groups(
-        self, raw: Bytes, at: Ints, size: Ints
+        self, raw: Bytes, starts: Ints, size: Ints
     ) -> Iterator[tuple[NDArray[np.intp], Template | Undecodable, Bytes]]:
         """Return messages of one shape together: which they are, their template, and their bytes as rows.
 
@@ -429,31 +433,31 @@ class Decoder:
         """
         for length in distinct(size):
             chosen = np.flatnonzero(size == length)
-            rows = rows_of(raw, at[chosen], length)
+            rows = rows_of(raw, starts[chosen], length)
             known = self._templates.setdefault(length, [])
-            for made in known:
+            for layout in known:
                 if not len(chosen):
                     break
-                good = made.fits(rows)
+                good = layout.fits(rows)
                 if good.all():
-                    yield chosen, made, rows
+                    yield chosen, layout, rows
                     chosen = chosen[:0]
                 elif good.any():
-                    yield chosen[good], made, rows[good]
+                    yield chosen[good], layout, rows[good]
                     chosen, rows = chosen[~good], rows[~good]
             while len(chosen):
                 try:
-                    made = template(self._msgtype, self._types, rows[0].tobytes())
+                    layout = template(self._msgtype, self._types, rows[0].tobytes())
                 except Undecodable as error:
                     yield chosen[:1], error, rows[:1]
                     chosen, rows = chosen[1:], rows[1:]
                     continue
-                known.append(made)
-                good = made.fits(rows)
+                known.append(layout)
+                good = layout.fits(rows)
                 if good.all():
-                    yield chosen, made, rows
+                    yield chosen, layout, rows
                     break
-                yield chosen[good], made, rows[good]
+                yield chosen[good], layout, rows[good]
                 chosen, rows = chosen[~good], rows[~good]
             del known[:-_KEPT]
 

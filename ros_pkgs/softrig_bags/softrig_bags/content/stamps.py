@@ -26,7 +26,7 @@ def _is_constant(words: list[str]) -> bool:
     return "=" in "".join(words[1:2]) or words[2:3] == ["="]
 
 
-def stamp(data: bytes, at: int = 4) -> int:
+def stamp(data: bytes, start: int = 4) -> int:
     """Return the stamp in ns of a message that begins with one, or the time or duration at another byte."""
-    seconds, nanoseconds = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, at)
+    seconds, nanoseconds = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, start)
     return seconds * SECOND + nanoseconds

@@ -73,12 +73,12 @@ def checked_namespace(text: str) -> str:
     """Return a namespace with a leading slash and without a trailing one, empty for the root; BagError if it is
     invalid.
     """
-    parts = text.strip("/").split("/")
-    if parts == [""]:
+    names = text.strip("/").split("/")
+    if names == [""]:
         return ""
-    if not all(re.fullmatch(r"[A-Za-z_]\w*", part, re.ASCII) for part in parts):
+    if not all(re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) for name in names):
         raise BagError(f"{text!r} is not the name of a namespace; expected one such as /a or a/b")
-    return "/" + "/".join(parts)
+    return "/" + "/".join(names)
 
 
 @cache
@@ -103,8 +103,8 @@ def is_known(msgtype: str) -> bool:
 
 @cache
 def _definition(msgtype: str) -> tuple[str, str]:
-    if (own := definition_of(msgtype)) is not None:
-        return own
+    if (known := definition_of(msgtype)) is not None:
+        return known
     if not is_known(msgtype):
         return "", ""
     return typestore().generate_msgdef(msgtype, ros_version=2)[0], typestore().hash_rihs01(msgtype)

@@ -58,9 +58,9 @@ def expanded(path: Path, scratch: Path) -> Iterator[tuple[Path, list[str]]]:
     with TemporaryDirectory(dir=scratch, prefix=".expand-") as directory:
         copy = Path(directory) / plain(path).name
         with path.open("rb") as source, copy.open("wb") as target:
-            whole = _expand(source, target)
+            complete = _expand(source, target)
         lost = f"what follows byte {copy.stat().st_size} of {copy.name}, the compressed file ends there"
-        yield copy, [] if whole else [lost]
+        yield copy, [] if complete else [lost]
 
 
 class Expanded:
@@ -76,8 +76,8 @@ class Expanded:
         self._folder = TemporaryDirectory(prefix="softrig-bag-")
         self.path = Path(self._folder.name) / plain(file).name
         with file.open("rb") as source, self.path.open("wb") as target:
-            whole = _expand(source, target)
-        if not whole:
+            complete = _expand(source, target)
+        if not complete:
             self.close()
             raise Damaged(f"{file.name} cannot be decompressed to its end")
 
@@ -133,26 +133,26 @@ def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, b
         from lz4.frame import LZ4FrameDecompressor
 
         stream = LZ4FrameDecompressor()
-    out = bytearray()
+    result = bytearray()
     with suppress(wrong, EOFError):
         # A decompressor returns nothing for a call that fails; small pieces keep what comes before the damage.
-        for at in range(0, len(data), _SMALL_PIECE):
-            piece = data[at : at + _SMALL_PIECE]
-            while piece and len(out) <= limit:
+        for start in range(0, len(data), _SMALL_PIECE):
+            piece = data[start : start + _SMALL_PIECE]
+            while piece and len(result) <= limit:
                 # Several frames may follow each other.
                 if stream.eof:
                     stream = type(stream)()
-                out += stream.decompress(piece, max_length=limit + 1 - len(out))
+                result += stream.decompress(piece, max_length=limit + 1 - len(result))
                 piece = stream.unused_data if stream.eof else b""
-    return bytes(out[:limit]), stream.eof and len(out) <= limit
+    return bytes(result[:limit]), stream.eof and len(result) <= limit
 
 
 def expanded_message(data: bytes) -> bytes | None:
     """Return the bytes of a message, decompressed if it is compressed; None if it is damaged."""
     if data[:4] != _MAGIC:
         return data
-    whole, complete = inflate(data, "zstd")
-    return whole if complete else None
+    message, complete = inflate(data, "zstd")
+    return message if complete else None
 
 
 def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes | memoryview:
@@ -183,15 +183,15 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
         )
     if compression not in ("", "zstd", "lz4"):
         raise Damaged(f"a chunk is compressed by {compression!r}, expected zstd or lz4")
-    content, whole = data, True
+    content, complete = data, True
     if stated == size:
         try:
             content = zstd().decompress(data)
         except zstd().ZstdError as error:
             raise Damaged(f"a chunk cannot be decompressed: {error}") from None
     elif compression:
-        content, whole = inflate(bytes(data), compression, size)
-    if not whole or len(content) != size:
+        content, complete = inflate(bytes(data), compression, size)
+    if not complete or len(content) != size:
         raise Damaged(f"a chunk of {len(data)} bytes does not have the {size} uncompressed that it claims")
     return content
 
@@ -205,15 +205,15 @@ def plain_messages(block: Block) -> Block:
         One of them cannot be expanded.
     """
     long = np.flatnonzero(block.size >= 4)
-    at = block.at if len(long) == len(block) else block.at[long]
-    packed_rows = long[numbers_at(block.raw, at, "<u4") == int.from_bytes(_MAGIC, "little")]
+    starts = block.at if len(long) == len(block) else block.at[long]
+    packed_rows = long[numbers_at(block.raw, starts, "<u4") == int.from_bytes(_MAGIC, "little")]
     if not len(packed_rows):
         return block
     view = memoryview(block.raw)
     data = [bytes(view[a : a + n]) for a, n in zip(block.at.tolist(), block.size.tolist(), strict=True)]
     for i in packed_rows.tolist():
-        whole = expanded_message(data[i])
-        if whole is None:
+        message = expanded_message(data[i])
+        if message is None:
             raise Damaged(f"the compressed message at {int(block.t[i])} ns cannot be decompressed")
-        data[i] = whole
+        data[i] = message
     return packed(data, block)

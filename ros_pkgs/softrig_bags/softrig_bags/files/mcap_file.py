@@ -141,8 +141,8 @@ class McapFile:
         index : mapping of int to two int arrays of shape (n,)
             By topic, in the order of their first messages: bag times in ns, and where in the content they begin.
         """
-        for number, (times, places) in index.items():
-            rows = np.stack([times, places + self._size], axis=1).astype(np.uint64)
+        for number, (times, offsets) in index.items():
+            rows = np.stack([times, offsets + self._size], axis=1).astype(np.uint64)
             self._index.setdefault(number, array("Q")).frombytes(rows.tobytes())
         self._put(content)
         if self._size >= self.CHUNK_BYTES:

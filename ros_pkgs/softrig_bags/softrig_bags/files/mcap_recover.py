@@ -61,12 +61,12 @@ class Recovery:
                 code, length = _HEAD.unpack(head)
                 present = min(length, self._size - file.tell())
                 if code == _CHUNK_CODE:
-                    records, whole = self._chunk(file, present)
+                    records, complete = self._chunk(file, present)
                     yield from records
                     if present < length:
                         cut += 1
                         break
-                    damaged += not whole
+                    damaged += not complete
                 elif present < length:
                     break
                 else:
@@ -97,11 +97,11 @@ class Recovery:
         size, checksum, compression, start, length = head
         self.compression = "zstd" if compression == "zstd" else self.compression
         data = body[start : start + length]
-        content, whole = inflate(data, compression, min(size, LIMIT))
+        content, complete = inflate(data, compression, min(size, LIMIT))
         # The checksum is of the whole content, which is cut; records that are whole were written whole.
         if len(data) < length:
             return whole_records(content)[0], False
-        if not whole or len(content) != size or (checksum and zlib.crc32(content) != checksum):
+        if not complete or len(content) != size or (checksum and zlib.crc32(content) != checksum):
             return [], False
         records, used = whole_records(content)
         return records, used == len(content)

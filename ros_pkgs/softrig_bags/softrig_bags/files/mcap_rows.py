@@ -42,8 +42,8 @@ class _Feed:
         first, last = self._position, self._position + count
         self._position = last
         if self._columns is not None:
-            part = self._columns.part(first, last)
-            return part.times, part.encoded(first)
+            columns = self._columns.part(first, last)
+            return columns.times, columns.encoded(first)
         data = self._data[first:last]
         times = np.array(self._times[first:last], np.int64)
         if len(set(map(len, data))) > 1:
@@ -79,33 +79,33 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
             before = int(ends[done - 1]) if done else 0
             # The bytes must be those of `McapFile.write`, so a chunk ends with the message that reaches its size.
             full = int(np.searchsorted(ends, before + file.CHUNK_BYTES - file.waiting)) + 1
-            part = slice(done, min(full, len(ranks)))
-            begins = ends[part] - sizes[part] - _HEAD_SIZE - before
-            _write_part(file, feeds, ranks[part], begins, int(ends[part.stop - 1]) - before)
-            done = part.stop
+            chunk = slice(done, min(full, len(ranks)))
+            begins = ends[chunk] - sizes[chunk] - _HEAD_SIZE - before
+            _write_part(file, feeds, ranks[chunk], begins, int(ends[chunk.stop - 1]) - before)
+            done = chunk.stop
 
 
-def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], at: NDArray[np.int64], size: int) -> None:
-    """Append messages that go into one chunk; `at` is the offset of each message."""
+def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], offsets: NDArray[np.int64], size: int) -> None:
+    """Append messages that go into one chunk; `offsets` is the offset of each message."""
     content = np.empty(size, np.uint8)
     index = {}
     known, begins = np.unique(ranks, return_index=True)
     for rank in known[np.argsort(begins)].tolist():
-        places = at[np.flatnonzero(ranks == rank)]
-        times, data = feeds[rank].read(len(places))
+        selected = offsets[np.flatnonzero(ranks == rank)]
+        times, data = feeds[rank].read(len(selected))
         number = feeds[rank].number
-        index[number] = times, places
+        index[number] = times, selected
         if isinstance(data, list):
             for k, message in enumerate(data):
-                _place(content, places[k : k + 1], number, times[k : k + 1], np.frombuffer(message, np.uint8)[None])
+                _place(content, selected[k : k + 1], number, times[k : k + 1], np.frombuffer(message, np.uint8)[None])
         else:
-            _place(content, places, number, times, data)
+            _place(content, selected, number, times, data)
     file.write_block(content.tobytes(), index)
 
 
 def _place(
     content: NDArray[np.uint8],
-    places: NDArray[np.int64],
+    offsets: NDArray[np.int64],
     number: int,
     times: NDArray[np.int64],
     data: NDArray[np.uint8],
@@ -113,16 +113,16 @@ def _place(
     """Write the records of messages of one length where they belong."""
     count, length = data.shape
     kind = np.dtype([*_HEAD, ("data", "u1", (length,))])
-    steps = np.diff(places)
+    steps = np.diff(offsets)
     # A rig publishes the same topics at each tick, so a topic's records mostly lie at equal distances in the chunk.
     regular = not len(steps) or bool((steps == steps[0]).all())
     if regular:
         step = int(steps[0]) if len(steps) else kind.itemsize
-        rows: Any = np.ndarray((count,), kind, content.data, int(places[0]), (step,))
+        rows: Any = np.ndarray((count,), kind, content.data, int(offsets[0]), (step,))
     else:
         rows = np.empty(count, kind)
     rows["code"], rows["length"], rows["number"], rows["sequence"] = MESSAGE, _LENGTH + length, number, 0
     rows["log"] = rows["publish"] = times
     rows["data"] = data
     if not regular:
-        content[places[:, None] + np.arange(kind.itemsize)] = rows.view(np.uint8).reshape(count, -1)
+        content[offsets[:, None] + np.arange(kind.itemsize)] = rows.view(np.uint8).reshape(count, -1)

@@ -108,8 +108,8 @@ class McapSource:
         """Close the file."""
         self._file.close()
 
-    def _read(self, at: int, n: int) -> bytes:
-        return os.pread(self._file.fileno(), n, at)
+    def _read(self, offset: int, n: int) -> bytes:
+        return os.pread(self._file.fileno(), n, offset)
 
     @property
     def first(self) -> int:
@@ -134,15 +134,15 @@ class McapSource:
         """Note all records outside of chunks."""
         if self._read(0, len(MAGIC)) != MAGIC:
             raise Damaged("it does not begin as an MCAP file")
-        at = len(MAGIC)
-        while at + _HEAD.size <= end:
-            head = self._read(at, _HEAD.size + _CHUNK.size)
+        offset = len(MAGIC)
+        while offset + _HEAD.size <= end:
+            head = self._read(offset, _HEAD.size + _CHUNK.size)
             code, length = _HEAD.unpack_from(head)
-            begin, after = at + _HEAD.size, at + _HEAD.size + length
+            begin, after = offset + _HEAD.size, offset + _HEAD.size + length
             if after > end:
                 break
             if code == MESSAGE:
-                at = self._bare_messages(at, length, end)
+                offset = self._bare_messages(offset, length, end)
                 continue
             if code == CHUNK:
                 if length < _CHUNK.size:
@@ -150,27 +150,27 @@ class McapSource:
                 first, last, size, _, _ = _CHUNK.unpack_from(head, _HEAD.size)
                 # A last time of 0 or before the first is no claim, because some writers leave the field unset.
                 if size:
-                    self._parts.append(Part(at, after, first, last if last and last >= first else LATEST, None))
+                    self._parts.append(Part(offset, after, first, last if last and last >= first else LATEST, None))
             elif code == MESSAGE_INDEX and self._parts:
                 part = self._parts[-1]
-                self._parts[-1] = part._replace(hint=(part.hint[0] if part.hint else at, after))
+                self._parts[-1] = part._replace(hint=(part.hint[0] if part.hint else offset, after))
             elif code == FOOTER:
                 if self._read(after, len(MAGIC)) != MAGIC:
                     break
                 return
             elif code in _NOTED:
                 self._note(code, self._read(begin, min(length, _LONGEST) if code == ATTACHMENT else length))
-            at = after
+            offset = after
         raise Damaged("the file is cut off: it has no footer")
 
-    def _bare_messages(self, at: int, length: int, end: int) -> int:
+    def _bare_messages(self, offset: int, length: int, end: int) -> int:
         """Note a window of messages outside of chunks; return where the next record begins."""
-        content = self._read(at, min(max(WINDOW, _HEAD.size + length), end - at))
+        content = self._read(offset, min(max(WINDOW, _HEAD.size + length), end - offset))
         view = np.frombuffer(content, np.uint8)
         starts, after = message_run(content, view, 0, len(content))
         t = _heads(view, starts)[2]
-        self._parts.append(Part(at, at + after, int(np.min(t)), int(np.max(t)), None))
-        return at + after
+        self._parts.append(Part(offset, offset + after, int(np.min(t)), int(np.max(t)), None))
+        return offset + after
 
     def _note(self, code: int, content: bytes) -> None:
         """Store the content of a record, unless it is a message."""
@@ -211,19 +211,19 @@ class McapSource:
         # The index is only a hint: chunks that it does not name are read record by record in the gaps.
         starts, gaps = self._indexed(part, view) if part.hint else (np.empty(0, np.int64), [(0, len(content))])
         results = [starts]
-        for at, stop in gaps:
-            while at < stop:
-                if content[at] == MESSAGE:
-                    more, after = message_run(content, view, at, stop)
+        for offset, stop in gaps:
+            while offset < stop:
+                if content[offset] == MESSAGE:
+                    more, after = message_run(content, view, offset, stop)
                     results.append(more)
                 else:
-                    code, length = _HEAD.unpack_from(_least(content, at, stop, _HEAD.size))
-                    after = at + _HEAD.size + length
+                    code, length = _HEAD.unpack_from(_least(content, offset, stop, _HEAD.size))
+                    after = offset + _HEAD.size + length
                     if after <= stop:
-                        self._note(code, bytes(content[at + _HEAD.size : after]))
-                if not at < after <= stop:
+                        self._note(code, bytes(content[offset + _HEAD.size : after]))
+                if not offset < after <= stop:
                     raise Damaged("a record in a chunk is cut off")
-                at = after
+                offset = after
         return _block(view, np.sort(np.concatenate(results)) if len(results) > 1 else starts)
 
     def _indexed(self, part: Part, view: Bytes) -> tuple[Ints, list[tuple[int, int]]]:
@@ -233,30 +233,30 @@ class McapSource:
         """
         assert part.hint is not None
         begin, stop = part.hint
-        index, at, offsets = self._read(begin, stop - begin), 0, []
-        while at < len(index):
-            code, length = _HEAD.unpack_from(index, at)
-            count = int.from_bytes(index[at + 11 : at + 15], "little") // 16
+        index, offset, offsets = self._read(begin, stop - begin), 0, []
+        while offset < len(index):
+            code, length = _HEAD.unpack_from(index, offset)
+            count = int.from_bytes(index[offset + 11 : offset + 15], "little") // 16
             if code == MESSAGE_INDEX and 16 * count + 6 <= length:
-                pairs = np.frombuffer(index, "<u8", 2 * count, at + 15)
+                pairs = np.frombuffer(index, "<u8", 2 * count, offset + 15)
                 offsets.append(pairs[1::2].astype(np.int64))
-            at += _HEAD.size + length
-        whole = np.empty(0, np.int64), [(0, len(view))]
-        starts = np.sort(np.concatenate(offsets)) if offsets else whole[0]
+            offset += _HEAD.size + length
+        unindexed = np.empty(0, np.int64), [(0, len(view))]
+        starts = np.sort(np.concatenate(offsets)) if offsets else unindexed[0]
         if (
             not len(starts)
             or starts[0] < 0
             or starts[-1] + _MESSAGE_HEAD > len(view)
             or (view[starts] != MESSAGE).any()
         ):
-            return whole
+            return unindexed
         lengths = _lengths(view, starts)
         if (lengths < _MESSAGE_HEAD - _HEAD.size).any() or (lengths > len(view)).any():
-            return whole
+            return unindexed
         ends = starts + _HEAD.size + lengths
         after, before = np.append(starts[1:], len(view)), np.append(0, ends)
         if (ends > after).any():
-            return whole
+            return unindexed
         edges = np.append(starts, len(view))
         gaps = np.flatnonzero(before != edges)
         return starts, [(int(before[k]), int(edges[k])) for k in gaps]
@@ -265,13 +265,13 @@ class McapSource:
 def _content(record: bytes) -> bytes | memoryview:
     """Return the content of a chunk, decompressed and checked."""
     _, _, size, checksum, letters = _CHUNK.unpack_from(record, _HEAD.size)
-    at = _HEAD.size + _CHUNK.size
-    compression = record[at : at + min(letters, 16)].decode(errors="replace")
-    stored = int.from_bytes(_least(record, at + letters, len(record), 8), "little")
-    at += letters + 8
-    if at + stored > len(record):
+    offset = _HEAD.size + _CHUNK.size
+    compression = record[offset : offset + min(letters, 16)].decode(errors="replace")
+    stored = int.from_bytes(_least(record, offset + letters, len(record), 8), "little")
+    offset += letters + 8
+    if offset + stored > len(record):
         raise Damaged("a chunk is shorter than its header states")
-    content = decompressed(memoryview(record)[at : at + stored], compression, size)
+    content = decompressed(memoryview(record)[offset : offset + stored], compression, size)
     if checksum and zlib.crc32(content) != checksum:
         raise Damaged("Chunk checksum mismatch")
     return content
@@ -294,7 +294,7 @@ def _lengths(view: Bytes, starts: Ints) -> Ints:
     return numbers_at(view, starts + 1, "<i8")
 
 
-def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) -> tuple[Ints, int]:
+def message_run(content: bytes | memoryview, view: Bytes, offset: int, stop: int) -> tuple[Ints, int]:
     """Find the message records that follow each other from a place on.
 
     Records are looked at one by one until their lengths repeat; from there on they are expected to go on so, which is
@@ -304,7 +304,7 @@ def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) ->
     ----------
     content, view : bytes and array of uint8
         The same buffer.
-    at : int
+    offset : int
         Where the first record begins.
     stop : int
         Upper end of the buffer; a record that extends beyond it is left out.
@@ -322,21 +322,21 @@ def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) ->
     results, probe, unpack = [], _PROBE, _HEAD.unpack_from
     while True:
         starts: list[int] = []
-        while len(starts) < probe and at + _HEAD.size <= stop and content[at] == MESSAGE:
-            length = unpack(content, at)[1]
+        while len(starts) < probe and offset + _HEAD.size <= stop and content[offset] == MESSAGE:
+            length = unpack(content, offset)[1]
             if length < 22:
                 raise Damaged("a message is shorter than its fields")
-            if at + 9 + length > stop:
+            if offset + 9 + length > stop:
                 break
-            starts.append(at)
-            at += 9 + length
+            starts.append(offset)
+            offset += 9 + length
         results.append(np.array(starts, np.int64))
         if len(starts) < probe:
-            return np.concatenate(results), at
-        ahead = _expected(view, np.array([*starts, at]), stop)
+            return np.concatenate(results), offset
+        ahead = _expected(view, np.array([*starts, offset]), stop)
         if len(ahead):
             results.append(ahead[:-1])
-            at = int(ahead[-1])
+            offset = int(ahead[-1])
         # Without a pattern the next attempt sees more records, since a longer period may be found among them.
         probe = _PROBE if len(ahead) > 4 * probe else min(2 * probe, 1 << 14)
 
@@ -407,7 +407,7 @@ def _lenient(data: bytes) -> str:
     return data.decode(errors="replace")
 
 
-def _least(view: bytes | memoryview, at: int, end: int, n: int) -> bytes | memoryview:
-    if at + n > end:
+def _least(view: bytes | memoryview, offset: int, end: int, n: int) -> bytes | memoryview:
+    if offset + n > end:
         raise Damaged("a record is shorter than its fields")
-    return view[at : at + n]
+    return view[offset : offset + n]

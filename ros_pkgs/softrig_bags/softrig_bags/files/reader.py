@@ -153,9 +153,9 @@ class BagReader:
 
     def _require_namespace(self) -> None:
         if self._namespace and not self.chosen:
-            there = dict.fromkeys("/" + t.name.split("/")[1] for t in self.topics if t.name.count("/") > 1)
+            namespaces = dict.fromkeys("/" + t.name.split("/")[1] for t in self.topics if t.name.count("/") > 1)
             raise BagError(
-                f"{self.path}: no topic in the namespace {self._namespace}; expected one of {', '.join(there) or '/'}"
+                f"{self.path}: no topic in the namespace {self._namespace}; expected one of {', '.join(namespaces) or '/'}"
             )
 
     def _check_directory(self) -> None:
@@ -197,7 +197,7 @@ class BagReader:
             return McapSource(file)
         if head == _SQLITE:
             return SqliteSource(file)
-        known = next((what for begin, what in _OTHERS.items() if head.startswith(begin)), "")
+        known = next((name for begin, name in _OTHERS.items() if head.startswith(begin)), "")
         if known:
             raise BagError(f"{self.path}: {file.name} is {known}")
         raise Damaged(f"{file.name} {'is neither an MCAP file nor one of SQLite' if head else 'has 0 bytes'}")
@@ -313,9 +313,9 @@ class BagReader:
         counted: list[Counter[int]] = [Counter() for _ in self._sources]
         chosen = None if topics is None else np.array(sorted(topics), np.int64)
         last = 0
-        whole = start <= (self._start or 0)
+        from_start = start <= (self._start or 0)
         # The whole bag is read from 0 on, because the files may claim a wrong start.
-        for block in self._by_time(counted, 0 if whole else start):
+        for block in self._by_time(counted, 0 if from_start else start):
             last = int(block.t[-1])
             rows = block.t >= start
             if chosen is not None:
@@ -326,7 +326,7 @@ class BagReader:
                     yield plain_messages(result)
                 except Damaged as error:
                     raise self._damaged(error) from error
-        if whole:
+        if from_start:
             self._end = last
             self._account(counted)
 
@@ -349,7 +349,7 @@ class BagReader:
             # The file that is furthest behind is read next, which keeps few messages waiting.
             i = min(streams, key=lambda k: (bounds[k], k))
             try:
-                place, block, bounds[i] = next(streams[i])
+                position, block, bounds[i] = next(streams[i])
             except StopIteration:
                 del streams[i], bounds[i]
                 continue
@@ -357,7 +357,7 @@ class BagReader:
                 raise self._damaged(error, self.files[i]) from error
             numbers = distinct(block.topic)
             counted[i].update({n: int(np.count_nonzero(block.topic == n)) for n in numbers})
-            waiting.append(_Waiting((i, place), self._renumbered(i, block, numbers)))
+            waiting.append(_Waiting((i, position), self._renumbered(i, block, numbers)))
             size += int(block.size.sum())
             if size >= BATCH and (bound := min(bounds.values())) > np.min(waiting[0].block.t, initial=LATEST):
                 ready, waiting = _parted(waiting, bound)
@@ -437,8 +437,8 @@ class BagReader:
                 yield f"{file.name} is in the folder, but not in metadata.yaml: it was not read"
 
     def _damaged(self, error: Exception, file: Path | None = None) -> BagError:
-        where = self.path if file in (None, self.path) else f"{self.path}: {file.name}"  # type: ignore[union-attr]
-        return BagError(f"{where} is damaged: {error}; `softrig bag repair` saves what is readable")
+        location = self.path if file in (None, self.path) else f"{self.path}: {file.name}"  # type: ignore[union-attr]
+        return BagError(f"{location} is damaged: {error}; `softrig bag repair` saves what is readable")
 
     # Types ------------------------------------------------------------------------------------------------------------
 
@@ -457,9 +457,9 @@ class BagReader:
                 raise UnknownType(f"its messages are in {topic.wire}, expected cdr")
             if not topic.msgtype:
                 raise UnknownType("its channel has no schema")
-            own = types_of(topic.msgtype, topic.definition, topic.encoding) if topic.definition.strip() else {}
+            defined = types_of(topic.msgtype, topic.definition, topic.encoding) if topic.definition.strip() else {}
             distribution = distribution_of(self.metadata.distribution, self.metadata.version)
-            self._types[i] = complete(topic.msgtype, own, distribution)
+            self._types[i] = complete(topic.msgtype, defined, distribution)
         return self._types[i]
 
     def decoder(self, i: int) -> Decoder:
@@ -474,11 +474,11 @@ def _is_same(old: BagTopic, new: BagTopic) -> bool:
     if not old.definition or not new.definition or old.definition == new.definition:
         return True
     try:
-        one, two = (types_of(t.msgtype, t.definition, t.encoding).get(t.msgtype, (0, 0))[1] for t in (old, new))
+        first, second = (types_of(t.msgtype, t.definition, t.encoding).get(t.msgtype, (0, 0))[1] for t in (old, new))
     # A definition that cannot be read is reported when the topic is to be decoded.
     except UnknownType:
         return True
-    return bool(one == two)
+    return bool(first == second)
 
 
 def _is_stated(topic: BagTopic, stated: object) -> bool:
@@ -498,7 +498,7 @@ def _parted(waiting: list[_Waiting], bound: int) -> tuple[Block, list[_Waiting]]
             left.append(
                 _Waiting(rank, remaining.compact() if 2 * remaining.size.sum() < len(remaining.raw) else remaining)
             )
-    whole = joined([b for b in ready if len(b)])
-    if len(whole) and (np.diff(whole.t) < 0).any():
-        whole = whole.select(np.argsort(whole.t, kind="stable"))
-    return whole, left
+    released = joined([b for b in ready if len(b)])
+    if len(released) and (np.diff(released.t) < 0).any():
+        released = released.select(np.argsort(released.t, kind="stable"))
+    return released, left

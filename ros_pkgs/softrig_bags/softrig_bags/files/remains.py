@@ -70,8 +70,8 @@ def remains(path: Path) -> Remains:
         if plain(path).suffix in SUFFIXES and path.is_file():
             return Remains(path, [path])
     elif path.is_dir():
-        for place in (path, path / "bag", path / "log", *sorted(path.glob(".*.part"))):
-            if place.is_dir() and (result := _in_folder(place)) is not None:
+        for folder in (path, path / "bag", path / "log", *sorted(path.glob(".*.part"))):
+            if folder.is_dir() and (result := _in_folder(folder)) is not None:
                 return result
     raise BagError(f"{path}: no .mcap, .db3 or .shard file there")
 

@@ -109,11 +109,11 @@ class SqliteSource:
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
         """Yield blocks, each with its place in the file and the time before which no further message follows."""
         try:
-            rows, n, place = self._db.execute(_MESSAGES, (start,)), 1, 0
+            rows, n, position = self._db.execute(_MESSAGES, (start,)), 1, 0
             while result := rows.fetchmany(n):
                 block = self._block(result)
-                yield place, block, int(block.t[-1])
-                place += len(block)
+                yield position, block, int(block.t[-1])
+                position += len(block)
                 # Messages may be long, so the number of rows grows from one on, as their bytes allow.
                 n = max(1, min(ROWS, 2 * n, BYTES * n // max(len(block.raw), 1)))
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:

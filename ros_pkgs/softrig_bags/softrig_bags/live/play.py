@@ -31,7 +31,7 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
     answers = [absolute(name) for name in options.lockstep]
     remap = dict(_remapping(text) for text in options.remap)
     with BagReader(options.bag) as bag:
-        part = span(bag, options.start_offset, options.duration)
+        interval = span(bag, options.start_offset, options.duration)
         chosen = [t for t in bag.topics if t.name in selection and t.name not in answers]
         chosen = [t for t in chosen if not (options.clock and t.name == CLOCK)]
         # In lockstep these changes are set on the node by its parameter services, so they are not published too.
@@ -49,9 +49,9 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
                 why = f"{live} is played as {types[live]}"
             if why:
                 left.setdefault(why, []).append(topic)
-        for why, those in left.items():
-            print_line(f"not played, {why}: {', '.join(f'{t.name} ({t.msgtype})' for t in those)}")
-        chosen = [t for t in chosen if not any(t in those for those in left.values())]
+        for why, topics in left.items():
+            print_line(f"not played, {why}: {', '.join(f'{t.name} ({t.msgtype})' for t in topics)}")
+        chosen = [t for t in chosen if not any(t in topics for topics in left.values())]
         hidden = [t.name for t in bag.topics if "/_" in t.name and t not in chosen]
         if hidden and not (selection.names or selection.regex or selection.exclude):
             print_line(f"not played, hidden: {', '.join(hidden)}; --topics plays them")
@@ -61,7 +61,7 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
         publishers = Publishers(session, bag, chosen, remap)
         if answers:
             lockstep = LockstepPlayer(
-                session, bag, publishers, answers, remap, part, timeout=options.timeout, paused=options.paused
+                session, bag, publishers, answers, remap, interval, timeout=options.timeout, paused=options.paused
             )
             result = lockstep.run()
             counts = ", ".join(f"{len(t.data)} on {t.name}" for t in result.topics.values())
@@ -74,7 +74,7 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             session,
             bag,
             publishers,
-            part,
+            interval,
             rate=options.rate,
             loop=options.loop,
             clock=options.clock,

@@ -166,14 +166,14 @@ class Player:
         session: Session,
         bag: BagReader,
         publishers: Publishers,
-        part: Span,
+        interval: Span,
         *,
         rate: float,
         loop: bool,
         clock: bool,
         paused: bool,
     ) -> None:
-        self._session, self._bag, self._publishers, self._part = session, bag, publishers, part
+        self._session, self._bag, self._publishers, self._part = session, bag, publishers, interval
         self._rate, self._loop = rate, loop
         self._pauser = Pauser(session, paused)
         self._clock: Callable[[bytes], None] | None = None
@@ -328,12 +328,12 @@ class LockstepPlayer:
         publishers: Publishers,
         answers: Sequence[str],
         remap: Mapping[str, str],
-        part: Span,
+        interval: Span,
         *,
         timeout: float = 10.0,
         paused: bool = False,
     ) -> None:
-        self._session, self._bag, self._publishers, self._part = session, bag, publishers, part
+        self._session, self._bag, self._publishers, self._part = session, bag, publishers, interval
         self._names, self._remap = answers, remap
         self._timeout = timeout
         self._pauser = Pauser(session, paused, self._step)
@@ -346,7 +346,7 @@ class LockstepPlayer:
         self._groups = self._ticks()
         self._following: tuple[int, Sequence[tuple[int, bytes]] | None] = next(self._groups, OVER)
         self._ready = self._finished = False
-        self._tick = part.start
+        self._tick = interval.start
         self._progress = (-1, time.monotonic())
         self.sent = 0
 
@@ -418,16 +418,16 @@ class LockstepPlayer:
             if not publishers or not subscription.get_publisher_count():
                 absent.append(f"no node publishes {topic}")
                 continue
-            there = publishers[0]
+            publisher = publishers[0]
             try:
-                inputs = node.get_subscriber_names_and_types_by_node(there.node_name, there.node_namespace)
+                inputs = node.get_subscriber_names_and_types_by_node(publisher.node_name, publisher.node_namespace)
             # Discovery has found the publisher, but not yet the name of its node.
             except (NodeNameNonExistentError, RCLError):
                 absent.append(f"the node behind {topic} is not known yet")
                 continue
             wanted |= played.intersection(name for name, _ in inputs)
-            absent += self._untuned(there.node_name, there.node_namespace)
-            absent += self._paced(f"{there.node_namespace.rstrip('/')}/{there.node_name}")
+            absent += self._untuned(publisher.node_name, publisher.node_namespace)
+            absent += self._paced(f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}")
         if not absent and not wanted:
             absent.append(f"the node subscribes none of {', '.join(sorted(played))}")
         return absent + [f"{name} is not matched" for name in self._publishers.unheard(sorted(wanted))]
@@ -507,14 +507,14 @@ class LockstepPlayer:
 
     def _ticks(self) -> Iterator[tuple[int, list[tuple[int, bytes]]]]:
         """Yield the messages of each tick, played and answers, in their recorded order."""
-        part, wanted = self._part, {*self._publishers.names, *self._names}
+        interval, wanted = self._part, {*self._publishers.names, *self._names}
         stamped = [is_stamped(t) for t in self._bag.topics]
         messages: Iterator[tuple[int, int, bytes]]
-        ours = {i for i, topic in enumerate(self._bag.topics) if topic.name in self._names}
+        numbers = {i for i, topic in enumerate(self._bag.topics) if topic.name in self._names}
         # Of two types on a topic one is played.
-        ours |= self._publishers.publish.keys()
-        published = self._bag.messages(wanted, part.start)
-        messages = ((t, i, d) for i, t, d in published if t <= part.end and i in ours)
+        numbers |= self._publishers.publish.keys()
+        published = self._bag.messages(wanted, interval.start)
+        messages = ((t, i, d) for i, t, d in published if t <= interval.end and i in numbers)
         # The first messages show whether bag time is simulated time; one whose stamp is its bag time decides.
         head = list(islice(messages, 200))
         messages = chain(head, messages)

@@ -155,9 +155,9 @@ class Recorder:
             if name in self._types:
                 self._unsubscribe(name)
             self._subscribe(name, usable[0])
-        for other in usable:
-            if other != self._types[name]:
-                self._refuse(name, other, f"as {other}: it is published as {self._types[name]} at the same time")
+        for msgtype in usable:
+            if msgtype != self._types[name]:
+                self._refuse(name, msgtype, f"as {msgtype}: it is published as {self._types[name]} at the same time")
 
     def _is_usable(self, name: str, msgtype: str) -> bool:
         try:
@@ -174,8 +174,8 @@ class Recorder:
 
     def _publishers(self, name: str) -> list[TopicEndpointInfo]:
         # The recorder publishes on topics of its own, which are not to be recorded.
-        own = self._node.get_name()
-        return [p for p in self._node.get_publishers_info_by_topic(name) if p.node_name != own]
+        own_name = self._node.get_name()
+        return [p for p in self._node.get_publishers_info_by_topic(name) if p.node_name != own_name]
 
     def _subscribe(self, name: str, msgtype: str) -> None:
         publishers = [p for p in self._publishers(name) if p.topic_type == msgtype]

@@ -81,13 +81,13 @@ class Session:
             raise BagError(str(error)) from None
         Session.opened = self
         options = {declaration.name: value for declaration, value in parameters}
-        for name, given in self.node.get_parameters_by_prefix("").items():
+        for name, parameter in self.node.get_parameters_by_prefix("").items():
             # A file of `ros2 param dump` has the options too; the same value is no attempt to change one.
-            if name in options and given.value == options[name]:
+            if name in options and parameter.value == options[name]:
                 self.node.undeclare_parameter(name)
             elif name not in _OF_ROS and not name.startswith("qos_overrides."):
                 raise BagError(
-                    f"parameter {name} cannot be set to {given.value} by ROS arguments; what can be set are the "
+                    f"parameter {name} cannot be set to {parameter.value} by ROS arguments; what can be set are the "
                     "options that --help shows"
                 )
         for declaration, value in parameters:

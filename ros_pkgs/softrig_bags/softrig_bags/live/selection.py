@@ -49,9 +49,9 @@ class Selection:
                 patterns.append(re.compile(text) if text else None)
             except re.error as error:
                 raise BagError(f"regular expression {text!r}: {error}") from None
-        inside = checked_namespace(namespace)
-        full = tuple(n if n.startswith("/") else inside + absolute(n) for n in names)
-        return cls(full, patterns[0], patterns[1], inside)
+        prefix = checked_namespace(namespace)
+        full = tuple(n if n.startswith("/") else prefix + absolute(n) for n in names)
+        return cls(full, patterns[0], patterns[1], prefix)
 
     def __contains__(self, topic: str) -> bool:
         if topic in self.names:
