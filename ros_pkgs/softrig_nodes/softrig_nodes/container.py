@@ -154,7 +154,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
         print(__doc__)
         leave([], 0 if {"-h", "--help"} & set(arguments) else 2)
     container = Container()
-    where = "container"
+    source = "container"
     try:
         with joining(exclusive=True, silence=RunOptions().timeout):
             rclpy.init(args=[])
@@ -162,11 +162,11 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
             if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):
                 raise RunError(f"needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got {rmw}")
             for group in groups:
-                where = " ".join(group[:2])
+                source = " ".join(group[:2])
                 if len(group) < 2:
                     raise RunError("expected PACKAGE EXECUTABLE [--ros-args ...]")
                 container.add(group)
-            where = "container"
+            source = "container"
             container.connect()
     except KeyboardInterrupt:
         leave(container.nodes, 0)
@@ -175,7 +175,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
         # A signal has shut the context down in the meantime, and the error is its consequence.
         if not interrupt.early and not rclpy.ok():
             leave(container.nodes, 0)
-        name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where
+        name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else source
         print_for(name, error)
         leave(container.nodes, 2)
     leave(container.nodes, container.run())

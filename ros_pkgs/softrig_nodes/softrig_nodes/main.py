@@ -84,8 +84,8 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         # A signal has shut the context down in the meantime, and the error is its consequence.
         if not interrupt.early and not rclpy.ok():
             leave([node] if node else [], 0)
-        where = node.get_name() if node is not None else name
-        print_for(where, error)
+        label = node.get_name() if node is not None else name
+        print_for(label, error)
         leave([node] if node else [], 2)
     try:
         status = spin(node, adapter)
@@ -126,11 +126,11 @@ def _answered(block_class: type[Block], entry: str, params: Any, name: str) -> t
 def introduction(block: Block, options: RunOptions) -> str:
     """Describe in one line a node that was started alone, and the messages that it waits for."""
     inputs, outputs = block.ports(block.p)
-    what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
+    purpose = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
     wanted = [p.topic for p in inputs if not p.held]
     waits = f"waits for {', '.join(wanted)}" if wanted else "waits for no message"
     publishes = f"; publishes {', '.join(p.topic for p in outputs)}" if outputs else ""
-    return f"{what}; {options.mode}, every {block.p.period:g} s; {waits}{publishes}"
+    return f"{purpose}; {options.mode}, every {block.p.period:g} s; {waits}{publishes}"
 
 
 def usage(name: str, block_class: type[Block]) -> str:
@@ -145,8 +145,8 @@ def usage(name: str, block_class: type[Block]) -> str:
         lines += [f"  {title} {p.topic} ({p.msgtype}: {', '.join(p.labels)})" for p in ports]
     if inputs and not issubclass(block_class, Plant):
         own = block_class.refused is not Block.refused
-        what = (block_class.refused.__doc__ or "").strip().splitlines()[0] if own else "Its last outputs are held."
-        lines += ["", f"At a tick of which an input is refused: {what}"]
+        text = (block_class.refused.__doc__ or "").strip().splitlines()[0] if own else "Its last outputs are held."
+        lines += ["", f"At a tick of which an input is refused: {text}"]
     lines += ["", "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):"]
     for d in [*declarations(block_class.Params), *declarations(RunOptions, "run.")]:
         unit = f" {d.unit}" if d.unit else ""
@@ -158,18 +158,18 @@ def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     """Declare all parameters with descriptions and ranges, and validate the given values."""
     # rclpy gives an empty list in a file no type, so nothing can be declared from the raw override
     absent = {d.name for d in declarations(block_class.Params) if d.default is None}  # those that may have no value
-    given = {name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in overrides(node).items()}
-    given = {name: value for name, value in given.items() if not (name in absent and value in ([], "null"))}
+    values = {name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in overrides(node).items()}
+    values = {name: value for name, value in values.items() if not (name in absent and value in ([], "null"))}
     for name in ("use_sim_time", "start_type_description_service"):
-        given.pop(name, None)
-    given = {k: v for k, v in given.items() if not k.startswith(OF_QOS)}
-    run = {k: v for k, v in given.items() if k.startswith("run.")}
-    own = {k: v for k, v in given.items() if not k.startswith("run.")}
-    params: Any = build(block_class.Params, own)
+        values.pop(name, None)
+    values = {k: v for k, v in values.items() if not k.startswith(OF_QOS)}
+    run = {k: v for k, v in values.items() if k.startswith("run.")}
+    of_block = {k: v for k, v in values.items() if not k.startswith("run.")}
+    params: Any = build(block_class.Params, of_block)
     options = run_options(run)
     _declare(node, declarations(block_class.Params), flatten(params))
-    ours = [d for d in declarations(RunOptions, "run.") if d.name not in RUNNERS]
-    _declare(node, ours, flatten(options, "run."))
+    declared = [d for d in declarations(RunOptions, "run.") if d.name not in RUNNERS]
+    _declare(node, declared, flatten(options, "run."))
     return params, options
 
 

@@ -55,6 +55,6 @@ def _native(block_class: type[Block]) -> bool:
         for value in vars(sys.modules[cls.__module__]).values():
             seen.add(getattr(value, "__module__", None) or "")
         seen.add(cls.__module__)
-    own = block_class.__module__.split(".")[0]
-    modules = [sys.modules[m] for m in sorted(seen) if m.split(".")[0] == own and m in sys.modules]
+    package = block_class.__module__.split(".")[0]
+    modules = [sys.modules[m] for m in sorted(seen) if m.split(".")[0] == package and m in sys.modules]
     return any(isinstance(value, Jit) for module in modules for value in vars(module).values())

@@ -136,14 +136,14 @@ class Robot:
 
 
 @lru_cache(maxsize=16)
-def read_robot(urdf: str, context: str = "the URDF") -> Robot:
+def read_robot(urdf: str, source: str = "the URDF") -> Robot:
     """Check a URDF against `URDF`, and read its moving joints.
 
     Parameters
     ----------
     urdf : str
         URDF text.
-    context : str
+    source : str
         The file, for messages.
 
     Raises
@@ -155,26 +155,26 @@ def read_robot(urdf: str, context: str = "the URDF") -> Robot:
     try:
         root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
-        raise ValueError(f"{context}: not a URDF: {error}") from None
+        raise ValueError(f"{source}: not a URDF: {error}") from None
     if root.tag != "robot":
-        raise ValueError(f"{context}: not a URDF: its first tag is <{_name(root.tag)}>, expected <robot>")
-    notes = URDF.check(_names(root), context)
+        raise ValueError(f"{source}: not a URDF: its first tag is <{_name(root.tag)}>, expected <robot>")
+    notes = URDF.check(_names(root), source)
     version = root.get("version", "1.0")
     if version not in ("1.0", "1.1", "1.2"):
-        raise ValueError(f"{context}: robot@version is {version!r}, expected 1.0, 1.1 or 1.2")
-    base = _check_tree(root, context)
+        raise ValueError(f"{source}: robot@version is {version!r}, expected 1.0, 1.1 or 1.2")
+    base = _check_tree(root, source)
     for frame in root.iter("origin"):
-        _vector(frame, "xyz", 3, context)
-        _vector(frame, "rpy", 3, context)
+        _vector(frame, "xyz", 3, source)
+        _vector(frame, "rpy", 3, source)
         if frame.get("quat_xyzw") is not None and version == "1.0":
-            raise ValueError(f"{context}: origin@quat_xyzw needs <robot version='1.1'>; write rpy, or that version")
-        _vector(frame, "quat_xyzw", 4, context)
+            raise ValueError(f"{source}: origin@quat_xyzw needs <robot version='1.1'>; write rpy, or that version")
+        _vector(frame, "quat_xyzw", 4, source)
     for link in root.iterfind("link"):
-        if _check_body(link, f"{context}: link {link.get('name')}") and link.get("name") == base:
-            notes.append(f"{context}: link/inertial of {base} is ignored: the base does not move")
+        if _check_body(link, f"{source}: link {link.get('name')}") and link.get("name") == base:
+            notes.append(f"{source}: link/inertial of {base} is ignored: the base does not move")
     moving = [joint for joint in root.iterfind("joint") if joint.get("type") != "fixed"]
-    joints = {str(joint.get("name")): _joint(joint, f"{context}: joint {joint.get('name')}") for joint in moving}
-    return Robot({name: _followed(name, joints, context) for name in joints}, tuple(notes))
+    joints = {str(joint.get("name")): _joint(joint, f"{source}: joint {joint.get('name')}") for joint in moving}
+    return Robot({name: _followed(name, joints, source) for name in joints}, tuple(notes))
 
 
 def _name(tag: str) -> str:
@@ -205,62 +205,62 @@ def _names(root: ElementTree.Element) -> Iterator[str]:
             raise ValueError(f"{path} {element.get('name', '')}: <{twice}> occurs twice; remove one of the two")
 
 
-def _check_tree(root: ElementTree.Element, context: str) -> str:
+def _check_tree(root: ElementTree.Element, source: str) -> str:
     """Check that joints and links make one tree, and return the name of its root link."""
     links = [str(link.get("name")) for link in root.iterfind("link")]
     parents: dict[str, str] = {}
     names: set[str] = set()
     if twice := next((name for name in links if links.count(name) > 1), None):
-        raise ValueError(f"{context}: two links are called {twice!r}; rename one")
+        raise ValueError(f"{source}: two links are called {twice!r}; rename one")
     for joint in root.iterfind("joint"):
         name, kind = joint.get("name"), joint.get("type")
         if not name or name in names:
-            raise ValueError(f"{context}: a joint without a name, or two called {name!r}; give each a name of its own")
+            raise ValueError(f"{source}: a joint without a name, or two called {name!r}; give each a name of its own")
         names.add(name)
         if kind not in _KINDS:
-            raise ValueError(f"{context}: joint {name} is of type {kind!r}, expected one of {', '.join(_KINDS)}")
+            raise ValueError(f"{source}: joint {name} is of type {kind!r}, expected one of {', '.join(_KINDS)}")
         ends = [(tag, None if (end := joint.find(tag)) is None else end.get("link")) for tag in ("parent", "child")]
         for tag, link in ends:
             if link not in links:
-                raise ValueError(f"{context}: joint {name}: {tag} link {link!r} is no link of the file")
+                raise ValueError(f"{source}: joint {name}: {tag} link {link!r} is no link of the file")
         child = str(ends[1][1])
         if child in parents:
             raise ValueError(
-                f"{context}: link {child} is the child of two joints, {name} one of them; closed loops are not supported"
+                f"{source}: link {child} is the child of two joints, {name} one of them; closed loops are not supported"
             )
         parents[child] = str(ends[0][1])
     bases = [name for name in links if name not in parents]
     if len(bases) != 1:
         text = ", ".join(bases) or "none, all in a circle"
-        raise ValueError(f"{context}: expected one root link (the child of no joint), found {text}")
+        raise ValueError(f"{source}: expected one root link (the child of no joint), found {text}")
     return bases[0]
 
 
 def _number(
-    element: ElementTree.Element, key: str, context: str, default: float | None = None, most: float = LARGEST
+    element: ElementTree.Element, key: str, source: str, default: float | None = None, most: float = LARGEST
 ) -> float:
     text = element.get(key)
     value = number_of(str(default) if text is None else text)
     if math.isnan(value):
-        raise ValueError(f"{context}: {element.tag}@{key} is {text!r}, expected a number")
+        raise ValueError(f"{source}: {element.tag}@{key} is {text!r}, expected a number")
     if most < abs(value) < math.inf:
-        raise ValueError(f"{context}: {element.tag}@{key} is {text!r}, expected at most {most:g} in magnitude")
+        raise ValueError(f"{source}: {element.tag}@{key} is {text!r}, expected at most {most:g} in magnitude")
     return value
 
 
-def _vector(element: ElementTree.Element, key: str, size: int, context: str) -> tuple[float, ...]:
+def _vector(element: ElementTree.Element, key: str, size: int, source: str) -> tuple[float, ...]:
     text = element.get(key)
     if text is None:
         return ()
     values = tuple(map(number_of, text.split()))
     if len(values) != size or not all(map(math.isfinite, values)):
-        raise ValueError(f"{context}: {element.tag}@{key} is {text!r}, expected {size} numbers")
+        raise ValueError(f"{source}: {element.tag}@{key} is {text!r}, expected {size} numbers")
     if max(map(abs, values)) > LARGEST:
-        raise ValueError(f"{context}: {element.tag}@{key} is {text!r}, expected at most {LARGEST:g} in magnitude")
+        raise ValueError(f"{source}: {element.tag}@{key} is {text!r}, expected at most {LARGEST:g} in magnitude")
     return values
 
 
-def _check_body(link: ElementTree.Element, context: str) -> bool:
+def _check_body(link: ElementTree.Element, source: str) -> bool:
     """Check mass and inertia of a link, and return whether it has any.
 
     The triangle inequality is checked within what the last written decimal leaves open: a disc whose moments are
@@ -271,79 +271,79 @@ def _check_body(link: ElementTree.Element, context: str) -> bool:
         return False
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     if mass is None or inertia is None:
-        raise ValueError(f"{context}: <inertial> needs <mass> and <inertia>")
-    m = _number(mass, "value", context)
-    xx, yy, zz, xy, xz, yz = (_number(inertia, f"i{k}", context) for k in ("xx", "yy", "zz", "xy", "xz", "yz"))
+        raise ValueError(f"{source}: <inertial> needs <mass> and <inertia>")
+    m = _number(mass, "value", source)
+    xx, yy, zz, xy, xz, yz = (_number(inertia, f"i{k}", source) for k in ("xx", "yy", "zz", "xy", "xz", "yz"))
     if not all(map(math.isfinite, (m, xx, yy, zz, xy, xz, yz))):
-        raise ValueError(f"{context}: mass and inertia must be finite")
+        raise ValueError(f"{source}: mass and inertia must be finite")
     if m == xx == yy == zz == xy == xz == yz == 0.0:
         return False
     moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
     decimals = [Decimal(str(inertia.get(f"i{k}")).strip()).as_tuple().exponent for k in ("xx", "yy", "zz")]
     last = 10.0 ** min(int(k) for k in decimals)
     slack = min(1.5 * last, 0.05 * max(map(abs, moments)))
-    check_inertia(f"{context}: mass", m, f"{context}: inertia", moments, slack)
+    check_inertia(f"{source}: mass", m, f"{source}: inertia", moments, slack)
     return True
 
 
-def _joint(joint: ElementTree.Element, context: str) -> Joint:
+def _joint(joint: ElementTree.Element, source: str) -> Joint:
     axis = joint.find("axis")
-    if axis is not None and not any(_vector(axis, "xyz", 3, context) or (1.0,)):
-        raise ValueError(f"{context}: axis@xyz is 0 0 0, expected a direction")
+    if axis is not None and not any(_vector(axis, "xyz", 3, source) or (1.0,)):
+        raise ValueError(f"{source}: axis@xyz is 0 0 0, expected a direction")
     dynamics = joint.find("dynamics")
     damping = friction = 0.0
     if dynamics is not None:
-        damping, friction = (_number(dynamics, key, context, 0.0) for key in ("damping", "friction"))
+        damping, friction = (_number(dynamics, key, source, 0.0) for key in ("damping", "friction"))
     if not (0.0 <= damping < math.inf and 0.0 <= friction < math.inf):
         raise ValueError(
-            f"{context}: dynamics has damping {damping:g} and friction {friction:g}, expected no negative values"
+            f"{source}: dynamics has damping {damping:g} and friction {friction:g}, expected no negative values"
         )
-    lower, upper, velocity, effort = _limits(joint, context)
+    lower, upper, velocity, effort = _limits(joint, source)
     return Joint(
-        damping, friction, lower, upper, velocity, effort, _mimic(joint, context), joint.get("type") == "prismatic"
+        damping, friction, lower, upper, velocity, effort, _mimic(joint, source), joint.get("type") == "prismatic"
     )
 
 
-def _limits(joint: ElementTree.Element, context: str) -> tuple[float, float, float, float]:
+def _limits(joint: ElementTree.Element, source: str) -> tuple[float, float, float, float]:
     limit, endless = joint.find("limit"), joint.get("type") == "continuous"
     if limit is None:
         if not endless:
-            raise ValueError(f"{context}: a {joint.get('type')} joint needs <limit>; an endless one is continuous")
+            raise ValueError(f"{source}: a {joint.get('type')} joint needs <limit>; an endless one is continuous")
         return -math.inf, math.inf, math.inf, math.inf
     # Exporters write 1e16 or 1e300 for a missing limit, so these may be larger than any quantity.
     velocity, effort = (
-        _number(limit, key, context, math.inf if endless else None, most=math.inf) for key in ("velocity", "effort")
+        _number(limit, key, source, math.inf if endless else None, most=math.inf) for key in ("velocity", "effort")
     )
-    lower, upper = (_number(limit, key, context, 0.0, most=math.inf) for key in ("lower", "upper"))
+    lower, upper = (_number(limit, key, source, 0.0, most=math.inf) for key in ("lower", "upper"))
     if endless:
         lower, upper = -math.inf, math.inf
     if lower > upper or velocity < 0.0 or effort < 0.0:
         raise ValueError(
-            f"{context}: limit has lower {lower:g}, upper {upper:g}, velocity {velocity:g}, effort {effort:g}: expected "
+            f"{source}: limit has lower {lower:g}, upper {upper:g}, velocity {velocity:g}, effort {effort:g}: expected "
             "lower <= upper, and no negative velocity or effort"
         )
     return lower, upper, velocity, effort
 
 
-def _mimic(joint: ElementTree.Element, context: str) -> Mimic | None:
+def _mimic(joint: ElementTree.Element, source: str) -> Mimic | None:
     mimic = joint.find("mimic")
     if mimic is None:
         return None
-    multiplier, offset = _number(mimic, "multiplier", context, 1.0), _number(mimic, "offset", context, 0.0)
+    multiplier, offset = _number(mimic, "multiplier", source, 1.0), _number(mimic, "offset", source, 0.0)
     if not (math.isfinite(multiplier) and math.isfinite(offset)):
-        raise ValueError(f"{context}: mimic@multiplier and mimic@offset must be finite")
+        raise ValueError(f"{source}: mimic@multiplier and mimic@offset must be finite")
     return Mimic(mimic.get("joint", ""), multiplier, offset)
 
 
-def _followed(name: str, joints: Mapping[str, Joint], context: str) -> Joint:
+def _followed(name: str, joints: Mapping[str, Joint], source: str) -> Joint:
     """Resolve chains of mimic joints: each then follows a joint that is not a mimic."""
     joint, multiplier, offset, via = joints[name], 1.0, 0.0, [name]
     mimic = joint.mimic
     while mimic is not None:
         if mimic.joint not in joints:
-            raise ValueError(f"{context}: joint {via[-1]} mimics {mimic.joint!r}, which is no moving joint of the file")
+            raise ValueError(f"{source}: joint {via[-1]} mimics {mimic.joint!r}, which is no moving joint of the file")
         if mimic.joint in via:
-            raise ValueError(f"{context}: joints {', '.join(via)} mimic each other in a circle")
+            raise ValueError(f"{source}: joints {', '.join(via)} mimic each other in a circle")
         multiplier, offset = multiplier * mimic.multiplier, multiplier * mimic.offset + offset
         via.append(mimic.joint)
         mimic = joints[mimic.joint].mimic

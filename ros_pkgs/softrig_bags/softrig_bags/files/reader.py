@@ -153,9 +153,9 @@ class BagReader:
 
     def _require_namespace(self) -> None:
         if self._namespace and not self.chosen:
-            namespaces = dict.fromkeys("/" + t.name.split("/")[1] for t in self.topics if t.name.count("/") > 1)
+            spaces = dict.fromkeys("/" + t.name.split("/")[1] for t in self.topics if t.name.count("/") > 1)
             raise BagError(
-                f"{self.path}: no topic in the namespace {self._namespace}; expected one of {', '.join(namespaces) or '/'}"
+                f"{self.path}: no topic in the namespace {self._namespace}; expected one of {', '.join(spaces) or '/'}"
             )
 
     def _check_directory(self) -> None:

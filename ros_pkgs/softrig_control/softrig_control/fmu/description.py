@@ -440,10 +440,10 @@ def conversion(variable: Variable, wanted: str) -> tuple[float, float]:
     if variable.unit is None:
         return 1.0, 0.0
     if variable.unit.odd and not wanted:
-        name, base_text = variable.unit.name, text(dict(variable.unit.base)) or "1"
+        name, in_base = variable.unit.name, text(dict(variable.unit.base)) or "1"
         raise ValueError(
-            f"{variable.name} is in {name!r}, which the FMU defines as {variable.unit.factor:g} {base_text} and softrig "
-            f"does not; write the unit of the channel before the =, such as [{base_text}]"
+            f"{variable.name} is in {name!r}, which the FMU defines as {variable.unit.factor:g} {in_base} and softrig "
+            f"does not; write the unit of the channel before the =, such as [{in_base}]"
         )
     if not wanted or (not variable.unit.odd and powers(wanted) == powers(variable.unit.name)):
         return 1.0, 0.0

@@ -43,12 +43,12 @@ class SynchronousConstants(Params):
     @model_validator(mode="after")
     def _tables(self) -> Self:
         sizes = len(self.table_i_d), len(self.table_i_q)
-        lengths = *sizes, len(self.table_psi_d), len(self.table_psi_q)
-        if lengths == (0, 0, 0, 0):
+        shape = *sizes, len(self.table_psi_d), len(self.table_psi_q)
+        if shape == (0, 0, 0, 0):
             return self
-        if min(sizes) < 2 or lengths[2:] != (sizes[0] * sizes[1],) * 2:
+        if min(sizes) < 2 or shape[2:] != (sizes[0] * sizes[1],) * 2:
             raise ValueError(
-                f"flux tables of {lengths[0]} i_d, {lengths[1]} i_q, {lengths[2]} psi_d, {lengths[3]} psi_q: expected at least "
+                f"flux tables of {shape[0]} i_d, {shape[1]} i_q, {shape[2]} psi_d, {shape[3]} psi_q: expected at least "
                 "two currents of each axis, and i_d times i_q values of each flux linkage"
             )
         for name in ("table_i_d", "table_i_q"):

@@ -138,8 +138,8 @@ class Account:
             key = f"type of {item.port.topic}"
             if item.publishers or item.received_any or key in node.step.reports:
                 continue
-            other = other_types(node.middleware, item.port)
-            if other:
-                text = f"{item.port.topic} exists with type {other}, expected {item.port.msgtype}"
+            types = other_types(node.middleware, item.port)
+            if types:
+                text = f"{item.port.topic} exists with type {types}, expected {item.port.msgtype}"
                 node.step.note(Level.ERROR, key, text)
                 self._log_once(key, Level.ERROR, text)

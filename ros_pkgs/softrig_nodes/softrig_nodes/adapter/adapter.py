@@ -166,9 +166,9 @@ class Adapter:
         it.
         """
         links = self.links
-        own = links.owns_clock and links.starter == self.middleware.name and not links.guests
+        exclusive = links.owns_clock and links.starter == self.middleware.name and not links.guests
         # With a given epoch there is no common start, and so no topic that announces that the clock is paused.
-        return own and self.options.mode == "realtime" and not self.options.epoch
+        return exclusive and self.options.mode == "realtime" and not self.options.epoch
 
     def _files(self) -> Callable[[], Files] | None:
         links = self.links

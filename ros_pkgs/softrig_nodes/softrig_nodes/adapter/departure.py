@@ -80,11 +80,11 @@ class Departure(Reader):
 
     def _publish(self, data: bytes) -> None:
         self._send(data)
-        for other in self.neighbours:
-            if other.is_starter is not self.is_starter:
+        for neighbour in self.neighbours:
+            if neighbour.is_starter is not self.is_starter:
                 # Nodes of one process are not connected by the middleware here, and a call from within would run one
                 # node inside another.
-                self._node.middleware.post(lambda other=other: other.receive(data))  # type: ignore[misc]
+                self._node.middleware.post(lambda neighbour=neighbour: neighbour.receive(data))  # type: ignore[misc]
 
     def receive(self, data: bytes) -> None:
         """Receive a message of the starter, or on the starter a message of another node."""
@@ -129,8 +129,8 @@ class Departure(Reader):
     def _deaf(self) -> str:
         """Name the nodes that do not subscribe to the start message, as far as the graph shows it."""
         middleware = self._node.middleware
-        there = {middleware.name, *(peer.name for peer in middleware.subscribers(middleware.resolve(START)))}
-        return ", ".join(n for n in self._node.links.starts if n not in there) or f"one of {len(there)} nodes"
+        readers = {middleware.name, *(peer.name for peer in middleware.subscribers(middleware.resolve(START)))}
+        return ", ".join(n for n in self._node.links.starts if n not in readers) or f"one of {len(readers)} nodes"
 
     def _check(self) -> None:
         self.absent = self.handshake.absent()

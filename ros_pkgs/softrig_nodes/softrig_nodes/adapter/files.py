@@ -43,9 +43,9 @@ def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
     peers : iterable of str
         Nodes that it reads, or that read it.
     """
-    status = {who: read_status(folder / f"{who}.status") for who in peers}
-    gone = frozenset(who for who, entry in status.items() if entry.get("state") == "done")
+    status = {peer: read_status(folder / f"{peer}.status") for peer in peers}
+    ended = frozenset(peer for peer, entry in status.items() if entry.get("state") == "done")
     # A node that has left has answered all its ticks, whatever time its last status has.
-    answered = {who: math.inf if who in gone else float(entry.get("t", 0)) for who, entry in status.items()}
-    shards = read_shards(folder / f"{who}.shard" for who in status)
-    return Files(shards, read_shards([folder / f"{name}{DIED}"]), answered, gone)
+    answered = {peer: math.inf if peer in ended else float(entry.get("t", 0)) for peer, entry in status.items()}
+    shards = read_shards(folder / f"{peer}.shard" for peer in status)
+    return Files(shards, read_shards([folder / f"{name}{DIED}"]), answered, ended)

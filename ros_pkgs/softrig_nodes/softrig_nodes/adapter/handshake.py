@@ -72,26 +72,26 @@ class Handshake:
             names = known + [name for topic, name in results if topic == output.topic and name not in known]
             names += self._recorders.of(output.topic) if self._recorders else []
             # A subscriber of another type is never matched, so nothing waits for it.
-            there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
-            there = [name for name in there if name not in self._local]
-            unmatched = [name for name in names if name not in there]
+            matching = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
+            matching = [name for name in matching if name not in self._local]
+            unmatched = [name for name in names if name not in matching]
             self.missing += unmatched
             absent += [f"{name} does not subscribe {output.topic}" for name in unmatched]
             # The graph knows a subscriber before the writer is matched with it, so the count of the writer decides.
-            if names and output.readers < len(there):
+            if names and output.readers < len(matching):
                 unfit = node.middleware.unfit(output.topic, output.port.msgtype)
                 never = [(name, why) for name, why in unfit if name in names]
                 self.missing += [name for name, _ in never]
                 absent += [f"{name} can never read {output.topic}: {why}" for name, why in never]
-                if not never and output.readers < len(there) - len(unfit):
-                    absent.append(f"{output.topic} has {output.readers} readers of {len(there) - len(unfit)}")
+                if not never and output.readers < len(matching) - len(unfit):
+                    absent.append(f"{output.topic} has {output.readers} readers of {len(matching) - len(unfit)}")
         unread = [] if node.options.links or self._local else [o.topic for o in node.outgoing.outputs if not o.readers]
         # A node announces its endpoints one by one, and without a rig nothing names the subscribers. So what the graph
         # shows counts once all publishers are there and it has not changed for a while. A program that is no ROS node
         # has no name in the graph and is seen only as a matched subscriber.
-        seen: list[tuple[str, str | int]] = [*results, *((output.topic, output.readers) for output, _ in self._wanted)]
-        self._settled = self._settled + 1 if seen == self._seen and not absent else 0
-        self._seen = seen
+        state: list[tuple[str, str | int]] = [*results, *((output.topic, output.readers) for output, _ in self._wanted)]
+        self._settled = self._settled + 1 if state == self._seen and not absent else 0
+        self._seen = state
         if absent or self._settled >= SETTLED or self._knows_all():
             # Only a plant may run without any subscriber.
             if len(unread) == len(node.outgoing.outputs) and not node.is_plant:
@@ -123,5 +123,5 @@ class Handshake:
         return list(dict.fromkeys(peers))
 
     def _other_type(self, item: Input) -> str:
-        other = other_types(self._node.middleware, item.port)
-        return f"; the topic exists with type {other}" if other else ""
+        types = other_types(self._node.middleware, item.port)
+        return f"; the topic exists with type {types}" if types else ""

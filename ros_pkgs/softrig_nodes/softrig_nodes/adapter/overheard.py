@@ -148,12 +148,12 @@ class OverheardTopics:
         self._since: dict[str, float] = {}  # wall-clock time since when the start, or the end, is waited for, s
         self._then: Callable[[], object] = lambda: None
 
-    def subscribe(self, then: Callable[[], object]) -> None:
-        """Subscribe to the topics that are no inputs; `then` is called after each message of any.
+    def subscribe(self, callback: Callable[[], object]) -> None:
+        """Subscribe to the topics that are no inputs; `callback` is called after each message of any.
 
         This must be done before the inputs are offered: an external node may begin when those are matched.
         """
-        self._then = then
+        self._then = callback
         for topic, row in self._rows.items():
             if not row.read_here:
                 self._node.middleware.subscribe(topic, row.port.msgtype, row)
@@ -187,6 +187,6 @@ class OverheardTopics:
         """Return whether the node may leave: the last messages have arrived, or the wait for them has ended."""
         return all(row.complete for row in self._rows.values()) or not self._waits("end")
 
-    def _waits(self, what: str) -> bool:
+    def _waits(self, key: str) -> bool:
         now = self._node.middleware.steady()
-        return bool(now - self._since.setdefault(what, now) < PATIENCE)
+        return bool(now - self._since.setdefault(key, now) < PATIENCE)

@@ -88,7 +88,7 @@ class Record:
         # An answer that is recorded by its numbers, or not at all, need not be encoded for the record.
         self.by_numbers = self.add_row is not None or self.sink is None or not row
 
-    def change(self, stamp: int, who: str, values: Mapping[str, Any]) -> None:
+    def change(self, stamp: int, node: str, values: Mapping[str, Any]) -> None:
         """Record changed parameters of a node with the stamp of the tick that uses them, ns."""
         if self.sink is not None:
-            self.sink.note(stamp, encode(stamp, f"/{who}", values))
+            self.sink.note(stamp, encode(stamp, f"/{node}", values))

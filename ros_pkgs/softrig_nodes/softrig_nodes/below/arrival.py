@@ -138,13 +138,13 @@ class Arrival:
 
     def _receiver(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
         """Return a function that takes the oldest message and passes it on; in a full queue a newer one replaced it."""
-        accept, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
+        accept, reader, buffer = self._rcl.rcl_take_serialized_message, self._reader, self._where
         bytes_now = memoryview(self._bytes).cast("B").cast("Q")  # where they are, how many, how many there may be
         room, content = 0, memoryview(b"")
 
         def hand_over() -> None:
             nonlocal room, content
-            if result := accept(reader, where, None, None):
+            if result := accept(reader, buffer, None, None):
                 self._failed(result)
                 return
             # The buffer grows with a longer message and may then be at another address.

@@ -137,32 +137,32 @@ class _Type:
         self._kept: list[Any] = [element]
         hashed = self._keep(Hash(1, (c_uint8 * 32)(*bytes.fromhex(HASH))))
         description, sources = self._keep(self._description(element)), self._keep(self._sources(element))
-        get = [self._giving(what) for what in (hashed, description, sources)]
+        get = [self._giving(value) for value in (hashed, description, sources)]
         fast, introspected = (
             element.find(addressof(element), f"rosidl_typesupport_{kind}".encode())
             for kind in ("fastrtps_c", "introspection_c")
         )
         if not fast or not introspected:
             raise ImportError(f"{TF}: tf2_msgs is not installed, and the middleware is not Fast DDS")
-        own = {
+        hashes = {
             b"rosidl_typesupport_fastrtps_c": (fast, self._callbacks(Handle.from_address(fast))),
             b"rosidl_typesupport_introspection_c": (introspected, self._members(introspected)),
         }
         results: dict[bytes, int] = {}
         find = self._keep(Find(lambda handle, identifier: results.get(identifier)))
-        for identifier, (theirs, data) in own.items():
+        for identifier, (source, data) in hashes.items():
             # the pointer of the identifier, not its text, is compared
-            handle = Handle(Handle.from_address(theirs).identifier, addressof(data), find, *get)
+            handle = Handle(Handle.from_address(source).identifier, addressof(data), find, *get)
             results[identifier] = addressof(self._keep(handle))
         self.handle = self._keep(Handle(element.identifier, None, find, *get))
 
-    def _keep(self, what: Any) -> Any:
-        self._kept.append(what)
-        return what
+    def _keep(self, value: Any) -> Any:
+        self._kept.append(value)
+        return value
 
-    def _giving(self, what: Any) -> Any:
-        at = addressof(what)
-        return self._keep(Get(lambda handle: at))
+    def _giving(self, value: Any) -> Any:
+        address = addressof(value)
+        return self._keep(Get(lambda handle: address))
 
     def _text(self, text: bytes) -> Sequence:
         data = self._keep(ctypes.create_string_buffer(text))
@@ -174,8 +174,8 @@ class _Type:
 
     def _callbacks(self, element: Handle) -> Callbacks:
         """Return the element's callbacks except for the names: how large a message may become has no bound."""
-        theirs = Callbacks.from_address(element.data or 0)
-        return self._keep(Callbacks(b"tf2_msgs::msg", b"TFMessage", theirs.functions))  # type: ignore[no-any-return]
+        callbacks = Callbacks.from_address(element.data or 0)
+        return self._keep(Callbacks(b"tf2_msgs::msg", b"TFMessage", callbacks.functions))  # type: ignore[no-any-return]
 
     def _members(self, element: int) -> Members:
         member = self._keep(Member(b"transforms", MESSAGE, 0, element, is_array=True))
@@ -184,19 +184,19 @@ class _Type:
         )
 
     def _description(self, element: Handle) -> Description:
-        theirs = Description.from_address(element.description(addressof(element)))
-        first = ctypes.cast(theirs.referenced.data, POINTER(Individual))
-        referenced = [theirs.own, *(first[i] for i in range(theirs.referenced.size))]
-        referenced.sort(key=lambda one: ctypes.string_at(one.name.data, one.name.size))
+        description = Description.from_address(element.description(addressof(element)))
+        first = ctypes.cast(description.referenced.data, POINTER(Individual))
+        referenced = [description.own, *(first[i] for i in range(description.referenced.size))]
+        referenced.sort(key=lambda individual: ctypes.string_at(individual.name.data, individual.name.size))
         field = Field(self._text(b"transforms"), MESSAGES, 0, 0, self._text(ELEMENT), self._text(b""))
-        own = Individual(self._text(TF.encode()), self._row(Field, [field]))
-        return Description(own, self._row(Individual, referenced))
+        tf_message = Individual(self._text(TF.encode()), self._row(Field, [field]))
+        return Description(tf_message, self._row(Individual, referenced))
 
     def _sources(self, element: Handle) -> Sequence:
-        theirs = Sequence.from_address(element.sources(addressof(element)))
-        first = ctypes.cast(theirs.data, POINTER(Source))
-        own = Source(self._text(TF.encode()), self._text(b"msg"), self._text(SOURCE))
-        return self._row(Source, [own, *(first[i] for i in range(theirs.size))])
+        sources = Sequence.from_address(element.sources(addressof(element)))
+        first = ctypes.cast(sources.data, POINTER(Source))
+        tf_source = Source(self._text(TF.encode()), self._text(b"msg"), self._text(SOURCE))
+        return self._row(Source, [tf_source, *(first[i] for i in range(sources.size))])
 
 
 def _bytes_only(*_: Any) -> Any:
@@ -222,9 +222,9 @@ def tf_class() -> Any:
     capsule.restype, capsule.argtypes = ctypes.py_object, [c_void_p, c_char_p, c_void_p]
     named = ctypes.pythonapi.PyCapsule_GetName
     named.restype, named.argtypes = c_char_p, [ctypes.py_object]
-    theirs = type(TransformStamped)._TYPE_SUPPORT
-    name = named(theirs)
-    support = _Type(Handle.from_address(pointer(theirs, name)))
+    support_class = type(TransformStamped)._TYPE_SUPPORT
+    name = named(support_class)
+    support = _Type(Handle.from_address(pointer(support_class, name)))
     metaclass = type(
         "Metaclass_TFMessage",
         (type,),

@@ -282,10 +282,10 @@ def client_of(header: Any) -> bytes:
     if not works("client"):
         return b""
     # A pybind11 object is the head of a Python object and the address of a structure of C.
-    place = ctypes.c_void_p.from_address(id(header) + object.__basicsize__).value
-    if not place:
+    address = ctypes.c_void_p.from_address(id(header) + object.__basicsize__).value
+    if not address:
         return b""
-    sent, received, reader, number = HEADER.unpack(ctypes.string_at(place, HEADER.size))
+    sent, received, reader, number = HEADER.unpack(ctypes.string_at(address, HEADER.size))
     shown = header.source_timestamp, header.received_timestamp, header.request_id.sequence_number
     return reader if (sent, received, number) == shown else b""
 
@@ -304,8 +304,8 @@ def news(node: Node, handlers: Iterable[Any]) -> list[tuple[Callable[[Any], None
     """Return the callbacks of event handlers with a new status, each with that status."""
     handlers = list(handlers)
     with ExitStack() as stack:
-        for held in (node.context.handle, *handlers):
-            stack.enter_context(held)
+        for handle in (node.context.handle, *handlers):
+            stack.enter_context(handle)
         wait_set = _c().WaitSet(0, 0, 0, 0, 0, len(handlers), node.context.handle)
         wait_set.clear_entities()
         for handler in handlers:

@@ -130,8 +130,8 @@ class Following(Reader):
         return now, motion(message, self._joints, now, row, self._adapter.epoch, end)
 
     def _set(self, values: Mapping[str, Any]) -> None:
-        kinds = dict.fromkeys(values, Parameter.Type.DOUBLE_ARRAY) | {"goal.start": Parameter.Type.DOUBLE}
-        wanted = [Parameter(name, kinds[name], value) for name, value in values.items()]
+        types = dict.fromkeys(values, Parameter.Type.DOUBLE_ARRAY) | {"goal.start": Parameter.Type.DOUBLE}
+        wanted = [Parameter(name, types[name], value) for name, value in values.items()]
         result = self._node.set_parameters_atomically(wanted)
         if not result.successful:
             raise BadGoal(result.reason)
@@ -287,12 +287,12 @@ class Following(Reader):
         if self._active is None:
             return
         message = deserialize_message(data, message_class(STATES))
-        places = {name: k for k, name in enumerate(message.name)}
-        if not all(joint in places for joint in self._joints):
+        index_of = {name: k for k, name in enumerate(message.name)}
+        if not all(joint in index_of for joint in self._joints):
             return
         fields = (message.position, message.velocity)
-        order = [places[joint] for joint in self._joints]
-        rows = [[float(row[k]) for k in order] if len(row) == len(places) else [] for row in fields]
+        order = [index_of[joint] for joint in self._joints]
+        rows = [[float(row[k]) for k in order] if len(row) == len(index_of) else [] for row in fields]
         self._compare(nanoseconds(message.header.stamp) - self._adapter.epoch, rows)
 
     def _compare(self, t: int, measured: Sequence[Sequence[Any]]) -> None:

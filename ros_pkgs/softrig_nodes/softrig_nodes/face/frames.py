@@ -64,11 +64,11 @@ def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
         ns.
     """
     poses = list(poses)
-    out = Writer()
-    out.add("I", len(poses))
+    writer = Writer()
+    writer.add("I", len(poses))
     for pose in poses:
-        out.add("I", stamp // SECOND, stamp % SECOND)
-        out.text(pose.parent)
-        out.text(pose.child)
-        out.add("d", *pose.position, *pose.rotation)
-    return bytes(out.data)
+        writer.add("I", stamp // SECOND, stamp % SECOND)
+        writer.text(pose.parent)
+        writer.text(pose.child)
+        writer.add("d", *pose.position, *pose.rotation)
+    return bytes(writer.data)

@@ -77,8 +77,8 @@ def motion(message: Any, joints: Sequence[str], now: int, row: Sequence[float], 
         raise BadGoal("the trajectory has no points")
     strange = [name for name in names if name not in joints]
     if strange or not names or len(set(names)) < len(names):
-        what = f"no joint {strange[0]!r}" if strange else "a joint twice" if names else "no joint names"
-        raise BadGoal(f"the trajectory has {what}; the joints are {', '.join(joints)}", "INVALID_JOINTS")
+        fault = f"no joint {strange[0]!r}" if strange else "a joint twice" if names else "no joint names"
+        raise BadGoal(f"the trajectory has {fault}; the joints are {', '.join(joints)}", "INVALID_JOINTS")
     fields = _fields(points, len(names))
     stamp = nanoseconds(message.header.stamp)
     start = stamp - epoch if stamp else now
@@ -96,14 +96,14 @@ def motion(message: Any, joints: Sequence[str], now: int, row: Sequence[float], 
     k = max((k for k, t in enumerate(times) if t <= now), default=-1)
     if k < 0:
         n = len(joints)
-        here = {field: list(row[i * n : (i + 1) * n]) for i, field in enumerate(FIELDS)}
-        kept = [(now, here), *zip(times, rows, strict=True)]
+        present = {field: list(row[i * n : (i + 1) * n]) for i, field in enumerate(FIELDS)}
+        remaining = [(now, present), *zip(times, rows, strict=True)]
     else:
-        kept = list(zip(times[k:], rows[k:], strict=True))
-    begin = kept[0][0]
-    values: dict[str, Any] = {"goal.start": to_s(begin), "goal.times": [to_s(t - begin) for t, _ in kept]}
+        remaining = list(zip(times[k:], rows[k:], strict=True))
+    begin = remaining[0][0]
+    values: dict[str, Any] = {"goal.start": to_s(begin), "goal.times": [to_s(t - begin) for t, _ in remaining]}
     for field in FIELDS:
-        values[f"goal.{field}"] = [x for _, r in kept for x in r[field]] if field in fields else []
+        values[f"goal.{field}"] = [x for _, r in remaining for x in r[field]] if field in fields else []
     return Motion(times[-1], times, values)
 
 
@@ -139,9 +139,9 @@ def _spread(
     """Return a point with the joints in the order of the reference; those that are missing stay where they are."""
     results: dict[str, list[float]] = {}
     for field in FIELDS:
-        given = dict(zip(names, getattr(point, field), strict=False)) if field in fields else {}
+        stated = dict(zip(names, getattr(point, field), strict=False)) if field in fields else {}
         still = row[: len(joints)] if field == "positions" else [0.0] * len(joints)
-        results[field] = [float(given.get(joint, remaining)) for joint, remaining in zip(joints, still, strict=True)]
+        results[field] = [float(stated.get(joint, remaining)) for joint, remaining in zip(joints, still, strict=True)]
     return results
 
 
@@ -160,18 +160,18 @@ class Tolerances:
         Another joint, or a bound that is negative and not -1.
     """
 
-    def __init__(self, given: Sequence[Any], joints: Sequence[str], what: str) -> None:
+    def __init__(self, tolerances: Sequence[Any], joints: Sequence[str], label: str) -> None:
         self._bounds: list[tuple[int, int, float]] = []  # quantity, joint, bound
-        self._joints, self._what = joints, what
-        for one in given:
-            if one.name not in joints:
-                raise BadGoal(f"{what}: no joint {one.name!r}; the joints are {', '.join(joints)}")
+        self._joints, self._what = joints, label
+        for tolerance in tolerances:
+            if tolerance.name not in joints:
+                raise BadGoal(f"{label}: no joint {tolerance.name!r}; the joints are {', '.join(joints)}")
             for k, quantity in enumerate(QUANTITIES):
-                bound = float(getattr(one, quantity))
+                bound = float(getattr(tolerance, quantity))
                 if not (bound >= 0.0 or bound == ERASED):
-                    raise BadGoal(f"{what}: {one.name}: {quantity} = {bound:g}, expected a bound, 0 or -1")
+                    raise BadGoal(f"{label}: {tolerance.name}: {quantity} = {bound:g}, expected a bound, 0 or -1")
                 if bound > 0.0:
-                    self._bounds.append((k, joints.index(one.name), bound))
+                    self._bounds.append((k, joints.index(tolerance.name), bound))
 
     def __bool__(self) -> bool:
         return bool(self._bounds)

@@ -57,8 +57,8 @@ def types() -> dict[str, Any]:
     """
     names = {"Result": "msg", "SimulationState": "msg", **dict.fromkeys(SERVICES, "srv"), "SimulateSteps": "action"}
     result = {name: message_class(f"{PACKAGE}/{kind}/{name}") for name, kind in names.items()}
-    for one in result.values():
-        check_for_type_support(one)
+    for msgtype in result.values():
+        check_for_type_support(msgtype)
     return result
 
 

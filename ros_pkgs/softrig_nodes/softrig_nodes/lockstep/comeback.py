@@ -65,11 +65,11 @@ class LastPublished:
             outgoing.acknowledge = self._keeping(outgoing.acknowledge)
 
     def _keeping(self, send: Callable[..., None]) -> Callable[..., None]:
-        kept: deque[tuple[Any, ...]] = deque(maxlen=SAID)
-        self._kept.append((send, kept))
+        last: deque[tuple[Any, ...]] = deque(maxlen=SAID)
+        self._kept.append((send, last))
 
         def keep(*message: Any) -> None:
-            kept.append(message)
+            last.append(message)
             if not self.silent:
                 send(*message)
 
@@ -77,8 +77,8 @@ class LastPublished:
 
     def again(self) -> None:
         """Publish the newest message of each topic again."""
-        for send, kept in self._kept:
-            for message in kept:
+        for send, messages in self._kept:
+            for message in messages:
                 send(*message)
 
 
@@ -166,7 +166,7 @@ class Comeback:
         drive, node = self._drive, self._node
         step = node.step
         # Changes that people made while the node ran are only in its own record.
-        changes = [Change(t, values) for t, who, values in recorded(self._files.own) if who == node.middleware.name]
+        changes = [Change(t, values) for t, name, values in recorded(self._files.own) if name == node.middleware.name]
         step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
         published = drive.last_published
         assert published is not None

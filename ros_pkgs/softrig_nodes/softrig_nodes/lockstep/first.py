@@ -27,16 +27,16 @@ def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> N
 
 def _keep(output: Output, may_repeat: Callable[[], bool]) -> None:
     send = output.send
-    kept: list[tuple[int, tuple[float, ...]]] = []
+    stored: list[tuple[int, tuple[float, ...]]] = []
 
     def first(mark: int, values: tuple[float, ...]) -> None:
         # Only the first message is kept; later ticks shall not pay for this function.
         output.send = send
-        kept.append((mark, values))
+        stored.append((mark, values))
         send(mark, values)
 
     def again() -> None:
-        if kept and may_repeat():
-            send(*kept[0])
+        if stored and may_repeat():
+            send(*stored[0])
 
     output.send, output.joined = first, again

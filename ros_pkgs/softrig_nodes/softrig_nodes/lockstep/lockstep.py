@@ -109,21 +109,23 @@ class Lockstep(Link):
             wanted.append((node.outgoing.tick_output, links.tick_readers))
         awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
         # A node in a process of its own receives what it publishes itself; one in a container does not.
-        here = {*local, node.middleware.name} if local else set()
-        solvers = [name for name in links.solvers if name not in here]
+        in_process = {*local, node.middleware.name} if local else set()
+        solvers = [name for name in links.solvers if name not in in_process]
         # An outside node may be a solver, too, so the topic is subscribed to even if the rig names none.
         busy = Busy(node.middleware, max(1, len(solvers)), self._patient)
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
             self.solving = Solving(node.middleware, node.step, self._turns.turn)
-        gone: Set[str] = set()
+        ended: Set[str] = set()
         if node.files is not None:
             self._comeback = Comeback(self, node.files)
             self._comeback.go(self._turns.ticks)
-            gone = self._comeback.gone
+            ended = self._comeback.gone
 
         def shake() -> Handshake:
-            return Handshake(node, [(i, who) for i, who in awaited if who not in gone], wanted, {*local, *gone})
+            return Handshake(
+                node, [(i, publisher) for i, publisher in awaited if publisher not in ended], wanted, {*local, *ended}
+            )
 
         self.handshake, self._shake = shake(), shake
         self._stalls.handshake = self.handshake

@@ -84,14 +84,14 @@ class PairedSenders:
         """Let /clock pace the node."""
         self._listen(Pace(self, CLOCK, link.node, self.node.peer(link)), awaited=True)
 
-    def follow_ticks(self, local: Set[str], then: Callable[[], object]) -> None:
+    def follow_ticks(self, local: Set[str], done: Callable[[], object]) -> None:
         """Subscribe to the acknowledgements of nodes in other processes that this one waits for or that may be silent.
 
         Parameters
         ----------
         local : set of str
             Nodes of this process.
-        then : callable
+        done : callable
             Called after each.
         """
         node, links = self.node, self.node.links
@@ -99,15 +99,17 @@ class PairedSenders:
         for row in self.rows:
             if row.silent:
                 silent.setdefault(row.who, []).append(row)
-        for who in [w for w in dict.fromkeys([*links.acks, *silent]) if w not in local]:
-            port, awaited = Port("stamp", f"{node.namespace}/{who}/tick", TICK), who in links.acks
-            link = InputLink(period=links.acks[who], node=who) if awaited else links.inputs[silent[who][0].name]
-            if who in links.followers:
-                self._listen(Behind(self, port, who, node.peer(link)), awaited=True)
+        for name in [w for w in dict.fromkeys([*links.acks, *silent]) if w not in local]:
+            port, awaited = Port("stamp", f"{node.namespace}/{name}/tick", TICK), name in links.acks
+            link = InputLink(period=links.acks[name], node=name) if awaited else links.inputs[silent[name][0].name]
+            if name in links.followers:
+                self._listen(Behind(self, port, name, node.peer(link)), awaited=True)
                 continue
             # The clock leaves tick t when t is acknowledged. Any other node waits only for the tick before: the
             # acknowledging node may need its message of t in order to answer t.
-            ticks = Ticks(self, port, who, node.peer(link), awaited and not links.owns_clock, silent.get(who, ()), then)
+            ticks = Ticks(
+                self, port, name, node.peer(link), awaited and not links.owns_clock, silent.get(name, ()), done
+            )
             # Rows that no tick waits for are not counted in `missing`, so their arrival must not lower it.
             ticks.have = ticks.have or not awaited
             self._listen(ticks, awaited)
@@ -173,9 +175,9 @@ class Paired(Sender):
     """
 
     def __init__(
-        self, table: PairedSenders, port: Port, who: str, schedule: Schedule, earlier: bool = False, silent: str = ""
+        self, table: PairedSenders, port: Port, name: str, schedule: Schedule, earlier: bool = False, silent: str = ""
     ) -> None:
-        super().__init__(table.node, port, who)
+        super().__init__(table.node, port, name)
         self.table = table
         self.read = self.decode  # type: ignore[method-assign]
         self._values = table.node.values
@@ -335,7 +337,7 @@ class Paired(Sender):
         """Store a message of a tick, and use it if it completes the inputs of our tick."""
         if not self.silent and position < self.want:
             # Of a faster publisher only the newest message up to the wanted tick can be used; older ones are dropped.
-            self.pending = {p: kept for p, kept in self.pending.items() if p > position}
+            self.pending = {p: message for p, message in self.pending.items() if p > position}
         self.pending[position] = value
         # Acknowledgements and messages overtake each other, so a tick only counts when all before it are known.
         while self.silent and (following := self.schedule.next(self.reached)) in self.pending:
@@ -343,7 +345,7 @@ class Paired(Sender):
             if self.pending[following] is KEEP:
                 del self.pending[following]
             elif following <= self.want:
-                self.pending = {p: kept for p, kept in self.pending.items() if p >= following}
+                self.pending = {p: message for p, message in self.pending.items() if p >= following}
         if not self.have and self._complete():
             self._use()
             self._arrived()
@@ -495,14 +497,14 @@ class Ticks(Pace):
         self,
         table: PairedSenders,
         port: Port,
-        who: str,
+        name: str,
         schedule: Schedule,
         earlier: bool,
         silent_rows: Iterable[Paired],
-        then: Callable[[], object],
+        done: Callable[[], object],
     ) -> None:
-        super().__init__(table, port, who, schedule, earlier)
-        self._silent_rows, self._then = tuple(silent_rows), then
+        super().__init__(table, port, name, schedule, earlier)
+        self._silent_rows, self._then = tuple(silent_rows), done
         self.read = TickReader()  # type: ignore[method-assign]
 
     def accept(self, stamp: int, names: Collection[str], data: bytes) -> None:

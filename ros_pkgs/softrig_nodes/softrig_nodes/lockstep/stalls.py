@@ -78,11 +78,11 @@ class Stalls:
             return True
         # A row of an earlier tick is complete before anything has arrived. Neither does an own tick prove that the rig
         # has begun: a source for an outside plant publishes t = 0 unasked.
-        others = [row for row in self._senders.rows if not row.earlier]
+        peers = [row for row in self._senders.rows if not row.earlier]
         # Without rows, everything that this node waits for is in its own process, which has begun.
         if not self._senders.rows:
             return True
-        return any(row.have for row in others) or (node.ticks > 0 and bool(others))
+        return any(row.have for row in peers) or (node.ticks > 0 and bool(peers))
 
     def _name(self, item: Input, waited: float) -> None:
         """End the run with the names of all nodes that publish a topic, if the graph knows them."""
@@ -99,9 +99,9 @@ class Stalls:
         # In the first ticks other nodes may still be starting, which is no stall.
         if lacking and waited > REPORT_AFTER and node.ticks > 1 and not self._reported:
             self._reported = True
-            what = ", ".join(f"{row.port.topic} from {row.who}" for row in lacking)
-            node.step.note(Level.WARN, STANDS, f"waits for {what} at t = {node.t / SECOND:.9g} s", anew=True)
-        gone = [row for row in lacking if not row.publishers and not node.links.returns]
+            missing = ", ".join(f"{row.port.topic} from {row.who}" for row in lacking)
+            node.step.note(Level.WARN, STANDS, f"waits for {missing} at t = {node.t / SECOND:.9g} s", anew=True)
+        unpublished = [row for row in lacking if not row.publishers and not node.links.returns]
         limit = node.options.timeout
         # The runner that restarts nodes decides itself whether the rig still makes progress.
         if node.links.returns:
@@ -109,21 +109,21 @@ class Stalls:
         # Some node may not have begun yet, and its start may take as long as `start_timeout` allows.
         elif node.ticks <= 1:
             limit = max(limit, node.options.start_timeout)
-        if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
+        if lacking and (waited > limit or (unpublished and waited > GONE_AFTER)):
             # A node started by hand without a duration has no last tick of its own: it ends when its publisher leaves.
-            if gone and waited < min(limit, GOODBYE) and not (node.options.links or node.options.duration):
-                names = ", ".join(row.port.topic for row in gone)
+            if unpublished and waited < min(limit, GOODBYE) and not (node.options.links or node.options.duration):
+                names = ", ".join(row.port.topic for row in unpublished)
                 text = f"{names}: the sender has left at t = {node.t / SECOND:.9g} s, and this node with it"
                 node.middleware.log(Level.OK, text)
                 node.finish()
                 return
-            lacking = gone or lacking
-            what = ", ".join(
-                f"{row.port.topic} from {row.who}{' (gone)' if row in gone else ''}"
+            lacking = unpublished or lacking
+            missing = ", ".join(
+                f"{row.port.topic} from {row.who}{' (gone)' if row in unpublished else ''}"
                 f"{'; last refused: ' + row.last_refusal if row.last_refusal else ''}"
                 f"{f'; it is ahead, at {max(row.pending) / SECOND:.9g} s' if row.pending else ''}"
                 f"{f'; its last message was stamped 0: {COPY}' if row.last_stamp_zero else ''}"
                 for row in lacking
             )
             node.waits_for = [row.who for row in lacking]
-            node.fail(f"nothing stamped t = {node.t / SECOND:.9g} s within {waited:.1f} s on {what}")
+            node.fail(f"nothing stamped t = {node.t / SECOND:.9g} s within {waited:.1f} s on {missing}")

@@ -66,7 +66,7 @@ class DeadLocks:
             return 0
         self._checked = now
         before, self._held = self._held, set()
-        places, self._places = self._places, {}
+        offsets, self._places = self._places, {}
         released = 0
         for path in ports_of(domain, self._folder):
             try:
@@ -77,38 +77,38 @@ class DeadLocks:
             try:
                 # A port may be removed and created again under the same name, so the inode is part of the key.
                 key = path, os.fstat(file).st_ino
-                place = places[key] if key in places else _place(path)
-                self._places[key] = place
-                for held in _held(key, file, place):
-                    if held in before:
-                        _unlock(file, held.at)
+                offset = offsets[key] if key in offsets else _place(path)
+                self._places[key] = offset
+                for lock in _held(key, file, offset):
+                    if lock in before:
+                        _unlock(file, lock.at)
                         released += 1
                     else:
-                        self._held.add(held)
+                        self._held.add(lock)
             finally:
                 os.close(file)
         return released
 
 
-def _held(key: tuple[str, int], file: int, place: int) -> Iterator[Held]:
+def _held(key: tuple[str, int], file: int, start: int) -> Iterator[Held]:
     """Yield the mutexes of a port that dead threads hold."""
-    if place < 0:
+    if start < 0:
         return
-    fields = BOTH.unpack(os.pread(file, BOTH.size, place + MUTEXES[0]))
+    fields = BOTH.unpack(os.pread(file, BOTH.size, start + MUTEXES[0]))
     for k, offset in enumerate(MUTEXES):
         lock, _, owner, *_ = fields[k * FIELDS :]
         if lock and owner > 0 and _is_dead(owner):
-            yield Held(*key, place + offset, owner)
+            yield Held(*key, start + offset, owner)
 
 
 def _place(path: str) -> int:
     """Return the offset of a port's description; -1 if its mutexes are not at the expected places."""
     segment = Path(path).read_bytes()
-    place = judged(segment, Path(path))
-    if place < 0 or len(segment) < place + MUTEXES[0] + BOTH.size:
+    start = judged(segment, Path(path))
+    if start < 0 or len(segment) < start + MUTEXES[0] + BOTH.size:
         return -1
-    fields = BOTH.unpack_from(segment, place + MUTEXES[0])
-    return place if {*fields[FIELDS - 1 :: FIELDS]} == {SHARED} else -1
+    fields = BOTH.unpack_from(segment, start + MUTEXES[0])
+    return start if {*fields[FIELDS - 1 :: FIELDS]} == {SHARED} else -1
 
 
 def _is_dead(thread: int) -> bool:
@@ -120,10 +120,10 @@ def _is_dead(thread: int) -> bool:
         return Path("/proc/self").exists()
 
 
-def _unlock(file: int, at: int) -> None:
+def _unlock(file: int, offset: int) -> None:
     """Unlock a mutex of this C library and wake the threads that wait for it."""
     with mmap.mmap(file, 0) as segment:
-        mutex = ctypes.c_char.from_buffer(segment, at)
+        mutex = ctypes.c_char.from_buffer(segment, offset)
         ctypes.CDLL(None).pthread_mutex_unlock(ctypes.byref(mutex))
         # The mapping cannot be closed while an object refers to it.
         del mutex

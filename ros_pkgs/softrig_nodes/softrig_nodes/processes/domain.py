@@ -100,7 +100,7 @@ def holders(domains: Iterable[int]) -> str:
     names = {f"@softrig-domain-{number}" for number in domains}
     with suppress(OSError):  # not Linux
         lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]
-        sockets = {f"socket:[{words[6]}]" for words in lines if words[-1] in names}
+        sockets = {f"socket:[{fields[6]}]" for fields in lines if fields[-1] in names}
         counter: Counter[str] = Counter()
         for entry in Path("/proc").glob("[0-9]*/fd/*") if sockets else ():
             with suppress(OSError):  # another user's, or gone
@@ -109,7 +109,7 @@ def holders(domains: Iterable[int]) -> str:
                     counter[f"process {process.name} ({(process / 'comm').read_text().strip()})"] += 1
         if hidden := len(sockets) - counter.total():
             counter["processes of other users"] += max(0, hidden)
-        messages = [f"{count} by {who}" for who, count in counter.most_common(3) if count]
+        messages = [f"{count} by {owner}" for owner, count in counter.most_common(3) if count]
         return f" ({', '.join(messages)}{', ...' if len(counter) > len(messages) else ''})" if messages else ""
     return ""
 
@@ -165,8 +165,8 @@ def _open(number: int) -> int:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
     except OSError as error:
-        what = "" if isinstance(error, PermissionError) else "; expected a plain file of this user"
-        raise RunError(f"lock of domain {number}: {error.filename}: {error.strerror}{what}") from None
+        advice = "" if isinstance(error, PermissionError) else "; expected a plain file of this user"
+        raise RunError(f"lock of domain {number}: {error.filename}: {error.strerror}{advice}") from None
     if not stat.S_ISREG(os.fstat(file).st_mode):
         os.close(file)
         raise RunError(f"lock of domain {number}: {path}: expected a plain file")

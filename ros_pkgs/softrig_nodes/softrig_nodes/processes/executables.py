@@ -36,15 +36,15 @@ def find_executable(package: str, executable: str) -> Path:
         path = prefix / "lib" / package / executable
         if isfile(path) and os.access(path, os.X_OK):
             return path
-    there = sorted({p.name for prefix in installed for p in (prefix / "lib" / package).glob("*") if p.is_file()})
-    if not there:
+    names = sorted({p.name for prefix in installed for p in (prefix / "lib" / package).glob("*") if p.is_file()})
+    if not names:
         packages = [folder.name for prefix in installed for folder in (prefix / "lib").glob("*") if folder.is_dir()]
         raise ScenarioError(
             f"package {package!r} has no executables here{closest(package, packages)}; one of your own "
             "is in the folder that --workspace DIR names before the verb"
         )
     raise ScenarioError(
-        f"package {package} has no executable {executable!r}{closest(executable, there)}; it has {', '.join(there)}"
+        f"package {package} has no executable {executable!r}{closest(executable, names)}; it has {', '.join(names)}"
     )
 
 

@@ -112,14 +112,14 @@ class ForkServer:
         self._owner = os.getpid()
         self._lock = threading.Lock()
         self._asked = 0
-        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs:
+        self._link, server_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with server_end:
             # The last argument reserves space for the command lines of the nodes. With -P modules in the working
             # directory cannot hide installed ones.
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), "-" * ROOM],
+                [sys.executable, "-P", "-m", __name__, str(server_end.fileno()), "-" * ROOM],
                 env=dict(variables),
-                pass_fds=[theirs.fileno()],
+                pass_fds=[server_end.fileno()],
                 process_group=0,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,

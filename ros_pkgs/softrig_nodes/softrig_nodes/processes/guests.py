@@ -38,9 +38,9 @@ class Guests:
         """Report which external nodes are expected, in which domain, and with which topics."""
         if self._announce is None or not self._needed:
             return
-        who = ", ".join(self._awaited or self._needed)
+        names = ", ".join(self._awaited or self._needed)
         lines = [
-            f"waiting for {who} (without limit, or for --wait S; Ctrl-C ends); in another terminal:",
+            f"waiting for {names} (without limit, or for --wait S; Ctrl-C ends); in another terminal:",
             f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
         ]
         for m in self._rig.members:
@@ -77,8 +77,8 @@ class Guests:
         for state in states.values():
             self._name_strays(lacking, state.get("published", {}))
         if self._awaited and time.monotonic() - self._since > UNSEEN:
-            who = ", ".join(self._awaited)
-            self._once("unseen", f"{who}: not seen for {UNSEEN:g} s; {HINT}")
+            names = ", ".join(self._awaited)
+            self._once("unseen", f"{names}: not seen for {UNSEEN:g} s; {HINT}")
 
     def _name_strays(self, lacking: Set[str], published: Mapping[str, list[tuple[str, str]]]) -> None:
         """Report nodes that publish the type of an awaited topic under a name that the rig does not know."""
@@ -90,14 +90,14 @@ class Guests:
             if p.topic in lacking
         }
         known = {f"/{topic.lstrip('/')}" for topic in self._rig.topics}
-        own = {f"/{m.name}" for m in self._rig.members if not m.external}
+        rig_nodes = {f"/{m.name}" for m in self._rig.members if not m.external}
         for topic, writers in published.items():
-            for msgtype, who in writers if topic not in known else ():
-                fitting = [t for t, (_, wanted) in awaited.items() if wanted == msgtype and who not in own]
+            for msgtype, publisher in writers if topic not in known else ():
+                fitting = [t for t, (_, wanted) in awaited.items() if wanted == msgtype and publisher not in rig_nodes]
                 for meant in get_close_matches(topic, fitting, 1, 0.0):
                     self._once(
                         f"stray {topic}",
-                        f"{who} publishes {topic}, which nobody in the rig reads; "
+                        f"{publisher} publishes {topic}, which nobody in the rig reads; "
                         f"{meant} is awaited from {awaited[meant][0]}",
                     )
 

@@ -58,18 +58,18 @@ def chosen(domain: int, used: Collection[int] = (), now: float | None = None) ->
     turn = (time.monotonic() if now is None else now) / AROUND % 1
     flow = _free(FLOWS[:UNIQUE], int(turn * UNIQUE / AT_ONCE) * AT_ONCE + os.getpid() % AT_ONCE, used)
     base, user = flow + UNIQUE, STANDARD
-    whole = of_domain(domain)
-    if whole[-1] <= HIGHEST:
-        numbers, beside = whole[USER[0] : USER[-1] + 1], 2 * _participants(domain)
-        user = _free(numbers, int(turn * len(USER)), {n - beside for n in used}) - whole[0]
+    ports = of_domain(domain)
+    if ports[-1] <= HIGHEST:
+        numbers, beside = ports[USER[0] : USER[-1] + 1], 2 * _participants(domain)
+        user = _free(numbers, int(turn * len(USER)), {n - beside for n in used}) - ports[0]
     offsets = WELL_KNOWN | {"offsetd3": user}
     return {"portBase": base} | {name: BASE - base + offset for name, offset in offsets.items()}
 
 
-def _free(numbers: range, at: int, used: Collection[int]) -> int:
-    """Return the first number that is not in use, counting up from `at` and wrapping around; else that one."""
-    at %= len(numbers)
-    return next((n for n in (*numbers[at:], *numbers[:at]) if n not in used), numbers[at])
+def _free(numbers: range, start: int, used: Collection[int]) -> int:
+    """Return the first number that is not in use, counting up from `start` and wrapping around; else that one."""
+    start %= len(numbers)
+    return next((n for n in (*numbers[start:], *numbers[:start]) if n not in used), numbers[start])
 
 
 def _participants(domain: int) -> int:

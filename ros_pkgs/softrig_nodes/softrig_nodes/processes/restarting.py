@@ -100,7 +100,7 @@ class Restarts:
                         waiting[child.member.name] = _Progress(written, ticks, stalled)
                 else:
                     waiting.pop(child.member.name, None)
-        return all(other.stalled for other in waiting.values())
+        return all(peer.stalled for peer in waiting.values())
 
     def _restart(self, children: list[Child], k: int, code: int) -> None:
         name = children[k].member.name

@@ -59,8 +59,8 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
         # The locks are held until the files are removed and are removed last, so that a node that starts now cannot use
         # the port in between.
-        with ExitStack() as held:
-            if not all(_is_abandoned(lock, held) for lock in locks):
+        with ExitStack() as stack:
+            if not all(_is_abandoned(lock, stack) for lock in locks):
                 continue
             for path in (folder / stem, folder / f"sem.{stem}_mutex", *locks):
                 with suppress(OSError):
@@ -109,9 +109,9 @@ def ports_of(domain: int, folder: Path = FOLDER) -> list[str]:
     Some of them belong to no domain, so those of other domains are among these. Nodes that are not ours do not check
     their ports; a half-created one stops them, too.
     """
-    own, others = of_domain(domain), range(FLOWS[0], BASE)
-    found = [(name, int(match[1])) for name in listed(folder) if "_port" in name and (match := PORT.fullmatch(name))]
-    return [f"{folder}/{name}" for name, number in found if number in own or number in others]
+    of_participants, of_flows = of_domain(domain), range(FLOWS[0], BASE)
+    ports = [(name, int(match[1])) for name in listed(folder) if "_port" in name and (match := PORT.fullmatch(name))]
+    return [f"{folder}/{name}" for name, number in ports if number in of_participants or number in of_flows]
 
 
 def listed(folder: Path) -> list[str]:
@@ -168,25 +168,25 @@ class Ears:
             self._judge()
             return ""
         try:
-            own, mapped = _own(), _mapped()
+            paths, mapped = _own(), _mapped()
         except OSError:  # not Linux
             return ""
-        self._good = {path: inode for path in own if (inode := _inode(path)) in mapped.get(path, ())}
+        self._good = {path: inode for path in paths if (inode := _inode(path)) in mapped.get(path, ())}
         self._judge()
         now = time.monotonic()
         self._time += min(now - self._checked_at, 1.0)
         self._checked_at = now
-        self._since = {path: self._since.get(path, self._time) for path in own - self._good.keys()}
+        self._since = {path: self._since.get(path, self._time) for path in paths - self._good.keys()}
         return next((path.name for path, since in self._since.items() if self._time - since >= self.PATIENCE), "")
 
     def _judge(self) -> None:
         """Mark each sound port of this process as checked just now, as Fast DDS does."""
         for path, inode in self._good.items():
             with suppress(OSError), path.open("r+b", buffering=0) as file:
-                if (place := self._places.get((path, inode))) is None:
-                    place = self._places[path, inode] = judged(file.read(), path)
-                if place >= 0 and os.fstat(file.fileno()).st_ino == inode:
-                    os.pwrite(file.fileno(), struct.pack("=q", time.time_ns() // 1_000_000), place)
+                if (offset := self._places.get((path, inode))) is None:
+                    offset = self._places[path, inode] = judged(file.read(), path)
+                if offset >= 0 and os.fstat(file.fileno()).st_ino == inode:
+                    os.pwrite(file.fileno(), struct.pack("=q", time.time_ns() // 1_000_000), offset)
 
 
 def judged(segment: bytes, path: Path) -> int:
@@ -197,13 +197,13 @@ def judged(segment: bytes, path: Path) -> int:
     """
     number = struct.pack("=I", int(path.name.partition("_port")[2]))
     for result in re.finditer(re.escape(number), segment):
-        at = result.start() - 20
-        if at < 0 or at % 8 or at + 36 > len(segment):
+        offset = result.start() - 20
+        if offset < 0 or offset % 8 or offset + 36 > len(segment):
             continue
-        (last,) = struct.unpack_from("=q", segment, at)
-        limit, third = struct.unpack_from("=2I", segment, at + 28)
+        (last,) = struct.unpack_from("=q", segment, offset)
+        limit, third = struct.unpack_from("=2I", segment, offset + 28)
         if limit and third == limit // 3 and abs(time.time() - last / 1e3) < RECENT:
-            return at
+            return offset
     return -1
 
 
@@ -252,13 +252,13 @@ def _unfinished(path: Path) -> bool:
         return False
 
 
-def _is_abandoned(lock: Path, held: ExitStack) -> bool:
-    """Return whether a lock file is old and not locked; if so, this process locks it until `held` ends."""
+def _is_abandoned(lock: Path, stack: ExitStack) -> bool:
+    """Return whether a lock file is old and not locked; if so, this process locks it until `stack` ends."""
     try:
         if not _older(lock, AGE):
             return False
         file = os.open(lock, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
-        held.callback(os.close, file)
+        stack.callback(os.close, file)
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False

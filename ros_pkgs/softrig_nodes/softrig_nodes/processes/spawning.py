@@ -28,9 +28,9 @@ DIED = ".shard.died"  # suffix of the record of a node that has died and is star
 
 def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = ()) -> list[list[Member]]:
     """Return our nodes by process, only those that are named if some are."""
-    own = {m.name: m for m in rig.members if not m.external and (not only or m.name in only)}
-    shared = [[own.pop(name) for name in names if name in own] for names in containers]
-    return [g for g in shared if g] + [[m] for m in own.values()]
+    members = {m.name: m for m in rig.members if not m.external and (not only or m.name in only)}
+    shared = [[members.pop(name) for name in names if name in members] for names in containers]
+    return [g for g in shared if g] + [[m] for m in members.values()]
 
 
 def node_parameters(
@@ -48,15 +48,15 @@ def node_parameters(
         Whether a node that died is started again.
     """
     default = flatten(member.block_class.Params())
-    own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
-    others: dict[str, Any] = {"returns": returns}
+    params = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
+    updates: dict[str, Any] = {"returns": returns}
     # The clock runs ahead of followers; a restarted node must find all others at the tick at which it died.
-    others |= {"followers": []} if returns else {}
+    updates |= {"followers": []} if returns else {}
     entry = getattr(member.block_class, "ENTRY", None) if issubclass(member.block_class, Elsewhere) else None
     link = {} if entry is None else {"run.link": entry.model_dump_json()}
-    others |= {} if recorders is None else {"public": True, "recorders": list(recorders)}
+    updates |= {} if recorders is None else {"public": True, "recorders": list(recorders)}
     return (
-        own
+        params
         | link
         | {
             "run.mode": mode,
@@ -64,7 +64,7 @@ def node_parameters(
             "run.duration": rig.scenario.duration,
             "run.timeout": rig.scenario.timeout,
             "run.start_timeout": rig.scenario.start_timeout,
-            "run.links": links(rig, member).model_copy(update=others).model_dump_json(),
+            "run.links": links(rig, member).model_copy(update=updates).model_dump_json(),
             "run.changes": dumps(member.changes),
         }
     )
@@ -93,7 +93,7 @@ def start(run: Started, group: list[Member], *, again: bool = False) -> list[Chi
     """
     rig, seed, directory, options, record, variables, recorders, returns = run
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
-    given = {}
+    parameters = {}
     for member in group:
         stem = directory / member.name
         if again:
@@ -101,7 +101,7 @@ def start(run: Started, group: list[Member], *, again: bool = False) -> list[Chi
         for kind in FILES:
             # A status of an earlier run would be taken for that of the new node.
             stem.with_suffix(f".{kind}").unlink(missing_ok=True)
-        given[member.name] = (
+        parameters[member.name] = (
             node_parameters(rig, member, seed, options["run.mode"], recorders=recorders, returns=returns)
             | options
             | {
@@ -112,10 +112,10 @@ def start(run: Started, group: list[Member], *, again: bool = False) -> list[Chi
         )
     if len(group) == 1:
         executable = find_executable(group[0].package, group[0].executable)
-        arguments = _ros_arguments(group[0], given[group[0].name], directory)
+        arguments = _ros_arguments(group[0], parameters[group[0].name], directory)
     else:
         executable = find_executable("softrig_nodes", "container")
-        arguments = container_arguments(group, given, directory)
+        arguments = container_arguments(group, parameters, directory)
     # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
     # schedules sessions against each other and a loop across them runs a fifth slower.
     command = [str(executable), *arguments]
@@ -148,7 +148,7 @@ def _keep_record(stem: Path) -> None:
 
 def container_arguments(
     group: Sequence[Member],
-    given: Mapping[str, dict[str, Any]],
+    parameters: Mapping[str, dict[str, Any]],
     directory: Path,
     shared: Mapping[str, str] | None = None,
 ) -> list[str]:
@@ -156,7 +156,7 @@ def container_arguments(
 
     Parameters
     ----------
-    given : mapping
+    parameters : mapping
         Parameters by node, as returned by `node_parameters`.
     shared : mapping of str to str, optional
         Remaps of all of them.
@@ -164,7 +164,7 @@ def container_arguments(
     arguments: list[str] = []
     for member in group:
         arguments += ["--"] if arguments else []
-        arguments += [member.package, member.executable, *_ros_arguments(member, given[member.name], directory)]
+        arguments += [member.package, member.executable, *_ros_arguments(member, parameters[member.name], directory)]
         for old, new in (shared or {}).items():
             arguments += ["-r", f"{old}:={new}"]
     return arguments

@@ -134,8 +134,8 @@ class SystemClock:
     def set_back(self) -> str:
         """Describe that it was set back; empty if it was not."""
         self.update()
-        what = f"; the system's clock was set back by {self._back:.0f} s meanwhile, and Fast DDS waits by it"
-        return what if self._back > 1.0 else ""
+        text = f"; the system's clock was set back by {self._back:.0f} s meanwhile, and Fast DDS waits by it"
+        return text if self._back > 1.0 else ""
 
     @staticmethod
     def _ahead() -> float:
@@ -194,9 +194,9 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
     # a container fails as a whole, but some of its nodes may have finished before
     failed = [c for c in failed if read_status(c.status).get("state") != "done"] or failed
     waits = {c.member.name: read_status(c.status).get("waits_for", []) for c in failed}
-    held = _asleep([c for c in children if any(c.member.name in names for names in waits.values())])
-    if held and all(waits.values()):
-        return held
+    asleep = _asleep([c for c in children if any(c.member.name in names for names in waits.values())])
+    if asleep and all(waits.values()):
+        return asleep
     causes = blamed(waits)
     texts = []
     for child in (c for c in failed if c.member.name in causes):

@@ -113,8 +113,8 @@ class Answering:
     def _drop(self) -> None:
         """Drop ticks that are older than the window or than the stored messages: the controller is far behind."""
         # A tick whose messages have dropped out of a full row can no longer be answered with the right ones.
-        kept = [f.recent[0][0] for f in self._required if len(f.recent) == KEPT and not f.by_arrival]
-        oldest, before = max([self._table.clock() - self._table.window, *kept]), self.dropped
+        oldest_kept = [f.recent[0][0] for f in self._required if len(f.recent) == KEPT and not f.by_arrival]
+        oldest, before = max([self._table.clock() - self._table.window, *oldest_kept]), self.dropped
         while len(self._pending) > 1 and self._pending[0] < oldest:
             self._pending.popleft()
             self._complete = 0

@@ -65,8 +65,8 @@ class Beat:
                 schedule = drive.node.schedule
                 # Nodes that were due since the last beat answer before this tick, as their readers would have their
                 # values by now.
-                if (own := schedule.held(t)) < t:
-                    drive.tick(schedule.tick(own), own, now)
+                if (due := schedule.held(t)) < t:
+                    drive.tick(schedule.tick(due), due, now)
         self._answer(number, t, first.clock())
 
     def _answer(self, number: int, t: int, now: int) -> None:

@@ -312,10 +312,10 @@ class Live(Sender):
             # A publisher slower than our ticks has no message for some of them.
             return self.fresh or self._interval > period
         if self.schedule is not None:
-            there = self.stamp >= epoch + self.schedule.held(stamp - epoch)
-            if there and self.ready(stamp):
+            complete = self.stamp >= epoch + self.schedule.held(stamp - epoch)
+            if complete and self.ready(stamp):
                 self.holds = epoch + self.schedule.next(stamp - epoch)
-            return there
+            return complete
         # Without a rig the interval is learned from two stamps; until then the publisher is not waited for.
         return self._interval == 0 or stamp - self.stamp < self._interval - 2 - period // 1000
 
@@ -372,8 +372,8 @@ class Live(Sender):
     def _recovered(self) -> None:
         if self.name in self.table.stale:
             self.table.stale.discard(self.name)
-            what = "commands are" if self.node.is_plant else "messages are"
-            self.node.step.note(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
+            subject = "commands are" if self.node.is_plant else "messages are"
+            self.node.step.note(Level.WARN, f"recovered {self.port.topic}", f"{subject} back")
 
     def on_matched(self) -> None:
         """Reject both of two publishers on one input until one of them has left or has been silent for long."""
@@ -387,6 +387,6 @@ class Live(Sender):
         if not self.disputed:
             return False
         middleware = self.node.middleware
-        who = ", ".join(sorted({p.name for p in middleware.publishers(middleware.resolve(self.port.topic))}))
-        self.node.account.refuse(self, f"{self.publishers} publishers at the same time ({who}), expected one")
+        names = ", ".join(sorted({p.name for p in middleware.publishers(middleware.resolve(self.port.topic))}))
+        self.node.account.refuse(self, f"{self.publishers} publishers at the same time ({names}), expected one")
         return True

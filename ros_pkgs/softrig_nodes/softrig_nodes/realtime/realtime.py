@@ -261,8 +261,8 @@ class Realtime(Link):
         node = self.node
         node.outgoing.publish(t, rows, numbers)
         stamp = node.epoch + t
-        for reader, parts in self._local_readers.items():
-            node.middleware.post(partial(reader.receive_local, parts, stamp, rows))
+        for reader, targets in self._local_readers.items():
+            node.middleware.post(partial(reader.receive_local, targets, stamp, rows))
 
     def changed(self, t: int, values: Mapping[str, Any]) -> None:
         """Record new parameters."""
@@ -270,13 +270,13 @@ class Realtime(Link):
         node.record.change(node.epoch + t, node.middleware.name, values)
 
     def receive_local(
-        self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows
+        self, targets: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows
     ) -> None:
         """Receive the outputs of a node of this process at a tick: all of them before this node runs because of one."""
         if self.node.state != "running":
             return
         now = self.clock()
-        for k, tell in parts:
+        for k, tell in targets:
             tell(stamp, rows[k], now)
         self.senders.act()
 

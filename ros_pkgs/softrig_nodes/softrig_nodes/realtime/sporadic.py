@@ -51,10 +51,10 @@ class Sporadic(Live):
         # Messages of a writer arrive in order, so one with a later stamp shows that those before it have arrived.
         while self._sent and self._sent[0] <= newest:
             self._sent.popleft()
-        there = newest >= want or (self._acknowledged >= want and not (self._sent and self._sent[0] <= want))
-        if there:
+        complete = newest >= want or (self._acknowledged >= want and not (self._sent and self._sent[0] <= want))
+        if complete:
             self.holds = self.node.epoch + self.schedule.next(t)
-        return there
+        return complete
 
     def ready(self, stamp: int) -> bool:
         """Return True: before the first message the block gets the safe value of the port."""
@@ -85,8 +85,8 @@ class Acknowledgements(Sender):
         Rows that we read from it, and the names of their ports.
     """
 
-    def __init__(self, table: LiveSenders, who: str, rows: Sequence[tuple[Sporadic, str]]) -> None:
-        super().__init__(table.node, Port("stamp", f"{table.node.namespace}/{who}/tick", TICK), who)
+    def __init__(self, table: LiveSenders, name: str, rows: Sequence[tuple[Sporadic, str]]) -> None:
+        super().__init__(table.node, Port("stamp", f"{table.node.namespace}/{name}/tick", TICK), name)
         self._table, self._rows, self._reader = table, rows, TickReader()
 
     def deaf(self) -> bool:
@@ -115,8 +115,8 @@ def listen(table: LiveSenders, rows: Iterable[Sporadic]) -> list[Acknowledgement
     by_sender: dict[str, list[tuple[Sporadic, str]]] = {}
     for row in rows:
         by_sender.setdefault(row.who, []).append((row, node.links.inputs[row.name].port))
-    result = [Acknowledgements(table, who, its_rows) for who, its_rows in by_sender.items()]
-    for one in result:
-        node.paces.append(one)
-        node.middleware.subscribe(one.port.topic, TICK, one)
+    result = [Acknowledgements(table, name, its_rows) for name, its_rows in by_sender.items()]
+    for acknowledgement in result:
+        node.paces.append(acknowledgement)
+        node.middleware.subscribe(acknowledgement.port.topic, TICK, acknowledgement)
     return result

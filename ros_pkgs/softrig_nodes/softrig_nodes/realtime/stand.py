@@ -58,10 +58,10 @@ class Stand:
         messages = {key: int(value) for key, _, value in (word.partition("=") for word in words) if value}
         if not messages.keys() >= {"ahead", "from", "until"}:
             return
-        own, ahead, first, until = self._own, messages["ahead"], messages["from"], messages["until"]
+        clock, ahead, first, until = self._own, messages["ahead"], messages["from"], messages["until"]
         self._ahead, self._until = ahead, until
         # `first` keeps the clock from going back when `ahead` becomes smaller.
-        self._go_by(lambda: min(max(own() + ahead, first), until))
+        self._go_by(lambda: min(max(clock() + ahead, first), until))
 
     def _turn(self) -> None:
         """Pause or resume the rig as its `Hold` requires."""

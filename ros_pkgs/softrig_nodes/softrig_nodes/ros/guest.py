@@ -165,7 +165,7 @@ class Guest:
         begin = since = time.monotonic()
         before: list[str] = []
         messages: list[str] = []
-        while lacking := [what for what, count in wanted.items() if not count()]:
+        while lacking := [kind for kind, count in wanted.items() if not count()]:
             self._executor.spin_once(LOOK)
             now = time.monotonic()
             if lacking != before:
@@ -187,13 +187,13 @@ class Guest:
     def _lacks(self, lacking: Sequence[str], wanted: Collection[str]) -> str:
         """Describe what is missing and what to do: for a missing node, or one that lacks an input or output."""
         if len(lacking) < len(wanted):
-            what = f"{self._named()} is there without {', '.join(lacking)}"
+            text = f"{self._named()} is there without {', '.join(lacking)}"
             if lacking == [CLOCKED]:
-                return f"{what}; start it with -p use_sim_time:=true and -r /clock:=/{self._name}/clock"
-            return f"{what}; remap its topic to this name, or remove the topic from `reads` or `publishes`"
-        place = "".join(f"{name}={os.environ[name]} " for name in (RANGE,) if name in os.environ)
+                return f"{text}; start it with -p use_sim_time:=true and -r /clock:=/{self._name}/clock"
+            return f"{text}; remap its topic to this name, or remove the topic from `reads` or `publishes`"
+        setting = "".join(f"{name}={os.environ[name]} " for name in (RANGE,) if name in os.environ)
         return (
-            f"no node with {', '.join(lacking)}; start it as ROS_DOMAIN_ID={domain_id()} {place}ros2 run PACKAGE "
+            f"no node with {', '.join(lacking)}; start it as ROS_DOMAIN_ID={domain_id()} {setting}ros2 run PACKAGE "
             f"NODE --ros-args -r __ns:=/{self._name} -r /clock:=/{self._name}/clock -p use_sim_time:=true"
         )
 
@@ -220,7 +220,7 @@ class Guest:
         return future.result()
 
     def _wait(
-        self, done: Callable[[], bool], t: int, what: str = "", again: Callable[[], object] | None = None
+        self, done: Callable[[], bool], t: int, request: str = "", again: Callable[[], object] | None = None
     ) -> None:
         begin = time.monotonic()
         end, repeat = begin + self._seconds, begin + AGAIN
@@ -229,15 +229,15 @@ class Guest:
             if again is not None and time.monotonic() > repeat:
                 again()
                 repeat += AGAIN
-            gone = [p for p in self._outputs if not self._node.count_publishers(self._topic(p))]
-            if gone and not done():
+            unpublished = [p for p in self._outputs if not self._node.count_publishers(self._topic(p))]
+            if unpublished and not done():
                 raise RunError(f"{self.who} has gone at t = {t / 1e9:.9g} s")
             if time.monotonic() > end and not done():
                 silent = [self._topic(p) for p in self._outputs if not self._received[p.name]]
                 raise RunError(
                     f"{self.who} at t = {t / 1e9:.9g} s: "
                     + (
-                        what
+                        request
                         or f"no message on {', '.join(silent)} within {self._seconds:g} s of its clock, expected one "
                         "a period"
                     )

@@ -53,8 +53,8 @@ class Processor:
         clock: Callable[[], int] = time.process_time_ns,
     ) -> None:
         self._allowed = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-        own = self._allowed[domain % len(self._allowed)] if self._allowed else 0
-        self._own = [n for n in self._allowed if (n == own) is not beside] or self._allowed
+        chosen = self._allowed[domain % len(self._allowed)] if self._allowed else 0
+        self._own = [n for n in self._allowed if (n == chosen) is not beside] or self._allowed
         self._done, self._clock = done, clock
         self._before = (0, 0)
         self._now: Sequence[int] = self._allowed
@@ -76,11 +76,11 @@ class Processor:
             self._before = now
             self._go(self._own if used < SHORT * messages else self._allowed)
 
-    def _go(self, to: Sequence[int]) -> None:
-        if to == self._now:
+    def _go(self, cores: Sequence[int]) -> None:
+        if cores == self._now:
             return
-        self._now = to
+        self._now = cores
         for thread in os.listdir("/proc/self/task"):
             # The thread may have ended, or the process may not be allowed to choose.
             with suppress(OSError):
-                os.sched_setaffinity(int(thread), to)
+                os.sched_setaffinity(int(thread), cores)

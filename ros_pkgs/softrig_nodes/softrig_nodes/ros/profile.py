@@ -65,9 +65,9 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
         It is no XML, or has no participant.
     """
     clear_ports(domain_id())
-    given = given_profile()
-    text = given.read_bytes()
-    if silence is not None and given in (PROFILE, LOOPBACK):
+    profile = given_profile()
+    text = profile.read_bytes()
+    if silence is not None and profile in (PROFILE, LOOPBACK):
         text = leased(text.decode(), silence).encode()
     with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
         changes = {RENAMED if third() else VARIABLE: file.name}
@@ -158,13 +158,13 @@ def own(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> byte
 
 def _without_memory(root: ElementTree.Element, space: str) -> None:
     """Remove the transports by shared memory, and where participants name them."""
-    gone = set()
+    removed = set()
     for parent in root.iter(f"{space}transport_descriptors"):
         for entry in [e for e in parent if e.findtext(f"{space}type") == "SHM"]:
-            gone.add(entry.findtext(f"{space}transport_id"))
+            removed.add(entry.findtext(f"{space}transport_id"))
             parent.remove(entry)
     for parent in root.iter(f"{space}userTransports"):
-        for entry in [e for e in parent if e.text in gone]:
+        for entry in [e for e in parent if e.text in removed]:
             parent.remove(entry)
 
 

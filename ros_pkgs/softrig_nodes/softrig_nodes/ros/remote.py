@@ -68,9 +68,9 @@ class Remote:
         if client is None:
             client = self._parameters[node] = AsyncParameterClient(self._node, node)
         for value in values.values():
-            for one in value if isinstance(value, list) else [value]:
-                if isinstance(one, int) and not -(2**63) <= one < 2**63:
-                    raise ValueError(f"a whole number of {one.bit_length()} bits, expected at most 63, or a real one")
+            for item in value if isinstance(value, list) else [value]:
+                if isinstance(item, int) and not -(2**63) <= item < 2**63:
+                    raise ValueError(f"a whole number of {item.bit_length()} bits, expected at most 63, or a real one")
         parameters = [Parameter(name, value=value) for name, value in values.items()]
         self._when(
             client.services_are_ready,

@@ -199,10 +199,10 @@ class Requests:
 
     def _sent(self, reply: _Reply, readers: set[bytes]) -> bool:
         client = client_of(reply.header)
-        there = client in readers if client else bool(readers)
-        if there:
+        connected = client in readers if client else bool(readers)
+        if connected:
             reply.offer.send(reply.response, reply.header)
-        return there
+        return connected
 
     def _send(self) -> None:
         """Send the kept answers to clients that have become visible."""

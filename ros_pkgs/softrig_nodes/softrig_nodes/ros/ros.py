@@ -220,7 +220,7 @@ class ServingNode(Node):  # type: ignore[misc]
         together = self._set_together(messages, wait)
         if together.successful or len(messages) < 2:
             return [together] * len(messages)
-        return [self._set_together([one], wait) for one in messages]
+        return [self._set_together([message], wait) for message in messages]
 
     def _set_together(self, messages: Sequence[Any], wait: float) -> SetParametersResult:
         if wait:
@@ -244,11 +244,11 @@ class ServingNode(Node):  # type: ignore[misc]
         if reason := next(filter(None, map(self._misfit, new)), ""):
             return SetParametersResult(successful=False, reason=reason)
         self.remark = ""
-        kinds = {p.name: described[p.name].type for p in new}
+        types = {p.name: described[p.name].type for p in new}
         result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
         # By then rclpy has changed the described type to that of the refused value.
         if not result.successful:
-            for name, kind in kinds.items():
+            for name, kind in types.items():
                 described[name].type = kind
         result.reason = result.reason or self.remark
         return result
@@ -271,28 +271,28 @@ class ServingNode(Node):  # type: ignore[misc]
 
     def _meant(self, message: Any) -> Parameter:
         """Return the intended value: where floats are expected, numbers of any type become floats."""
-        given = Parameter.from_parameter_msg(message)
-        known = parameters(self).get(given.name)
+        parameter = Parameter.from_parameter_msg(message)
+        known = parameters(self).get(parameter.name)
         # rclpy does not store a parameter that was declared without a value.
         if known is None:
-            known = Parameter(given.name, Parameter.Type.NOT_SET)
+            known = Parameter(parameter.name, Parameter.Type.NOT_SET)
         # `ros2 param load` of a dump sends the present values in this form, which must not count as changes of type.
         elif message.value == guessed(plain(known)):
             return known
         real = known.type_ == Parameter.Type.DOUBLE or (
-            known.type_ == Parameter.Type.NOT_SET and descriptors(self)[given.name].floating_point_range
+            known.type_ == Parameter.Type.NOT_SET and descriptors(self)[parameter.name].floating_point_range
         )
         with suppress(ValueError, TypeError, SyntaxError):
-            if real and given.type_ in NUMBERS:
-                return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
-            if known.type_ == Parameter.Type.INTEGER and given.type_ == Parameter.Type.DOUBLE:
-                return Parameter(given.name, Parameter.Type.INTEGER, whole(given.value))
-            if known.type_ == Parameter.Type.DOUBLE_ARRAY and given.type_ in LISTS:
-                values = literal_eval(given.value) if isinstance(given.value, str) else given.value
-                return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, values)])
-            if known.type_ in ARRAYS and given.type_ in EMPTY and not given.value:
-                return Parameter(given.name, known.type_, [])
-        return given
+            if real and parameter.type_ in NUMBERS:
+                return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+            if known.type_ == Parameter.Type.INTEGER and parameter.type_ == Parameter.Type.DOUBLE:
+                return Parameter(parameter.name, Parameter.Type.INTEGER, whole(parameter.value))
+            if known.type_ == Parameter.Type.DOUBLE_ARRAY and parameter.type_ in LISTS:
+                values = literal_eval(parameter.value) if isinstance(parameter.value, str) else parameter.value
+                return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, values)])
+            if known.type_ in ARRAYS and parameter.type_ in EMPTY and not parameter.value:
+                return Parameter(parameter.name, known.type_, [])
+        return parameter
 
 
 def plain(parameter: Parameter) -> Any:
@@ -432,14 +432,14 @@ class RosMiddleware(Middleware):
         """Offer a topic."""
         events = PublisherEventCallbacks(matched=self._counting(matched))
         with self._deaf():
-            made = self.node.create_publisher(
+            publisher = self.node.create_publisher(
                 message_class(msgtype),
                 topic,
                 copy(self._written),
                 event_callbacks=events,
                 qos_overriding_options=self._overrides(topic, "publisher"),
             )
-        return self._sending(made)
+        return self._sending(publisher)
 
     def _sending(self, publisher: Any) -> Callable[[bytes], None]:
         return sending(publisher)
@@ -469,7 +469,7 @@ class RosMiddleware(Middleware):
         events = SubscriptionEventCallbacks(matched=self._counting(reader.matched))
         accept = self._in_turn(receive if numbered is None else with_number(receive, numbered))
         with self._deaf():
-            made = self.node.create_subscription(
+            subscription = self.node.create_subscription(
                 message_class(msgtype),
                 topic,
                 accept,
@@ -478,7 +478,7 @@ class RosMiddleware(Middleware):
                 event_callbacks=events,
                 qos_overriding_options=self._overrides(topic, "subscription"),
             )
-        self._read.append((made, reader))
+        self._read.append((subscription, reader))
 
     def _counting(self, matched: Matched) -> Callable[[Any], None]:
         """Return a callable that receives changes of the matched endpoints."""
@@ -503,9 +503,9 @@ class RosMiddleware(Middleware):
         if rcl is None:
             return
         # A message to the node itself arrives inside of `publish`, and no tick may run inside another one.
-        own = {p.topic_name for p in self.node.publishers}
+        topics = {p.topic_name for p in self.node.publishers}
         for subscription, reader in self._read:
-            if subscription.topic_name in own:
+            if subscription.topic_name in topics:
                 continue
             # Otherwise the executor would also take messages and events of this subscription.
             leave_to_us(self.node, subscription)
@@ -556,8 +556,8 @@ class RosMiddleware(Middleware):
         """
         prefix = f"{OF_QOS}{self.resolve(topic)}.{kind}."
         self._overridable.append(prefix)
-        given = any(name.startswith(prefix) for name in overrides(self.node))
-        return QoSOverridingOptions(POLICIES) if given else None
+        overridden = any(name.startswith(prefix) for name in overrides(self.node))
+        return QoSOverridingOptions(POLICIES) if overridden else None
 
     def report_ignored(self) -> None:
         """Log the QoS parameters that fit none of the topics offered and read so far; rclpy ignores them silently."""

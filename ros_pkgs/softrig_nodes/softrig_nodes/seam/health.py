@@ -36,11 +36,11 @@ class StatusFile:
         _exchange(new, self._path)
 
 
-def figures(held: RunningBlock) -> dict[str, Any]:
+def figures(running: RunningBlock) -> dict[str, Any]:
     """Return the measurements of an observer that are numbers."""
-    if not isinstance(held.block, Observer):
+    if not isinstance(running.block, Observer):
         return {}
-    return {"figures": {k: v for k, v in held.status().items() if math.isfinite(v[0])}}
+    return {"figures": {k: v for k, v in running.status().items() if math.isfinite(v[0])}}
 
 
 def _exchange(new: Path, path: Path) -> None:

@@ -111,15 +111,15 @@ class Hold:
         self._until = reached or 0
         return self.waits
 
-    def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
+    def ask(self, command: str, steps: int = 1) -> tuple[bool, str]:
         """Pause, resume or run steps; return whether that was possible, and the text of the answer."""
         if self._turn is None:
             return False, "this node has not begun"
-        if what == "pause":
+        if command == "pause":
             self.held = True
             self._pace.stop(self._middleware.steady())
             self._keep_publishing()
-        elif what == "step":
+        elif command == "step":
             if not self.held:
                 return False, "it runs: pause it first"
             self.steps += steps
@@ -130,4 +130,4 @@ class Hold:
             self._pace.go_on(self._middleware.steady())
         # The service call returns before the ticks go on.
         self._middleware.post(self._turn)
-        return True, {"pause": "paused", "step": "one step"}.get(what, "goes on")
+        return True, {"pause": "paused", "step": "one step"}.get(command, "goes on")

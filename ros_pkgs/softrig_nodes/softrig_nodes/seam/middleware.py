@@ -153,5 +153,5 @@ class Middleware(Protocol):
 
 def other_types(middleware: Middleware, port: Port) -> str:
     """Name the types other than a port's own under which its topic exists: such endpoints never match."""
-    there = middleware.topics().get(middleware.resolve(port.topic), ())
-    return ", ".join(t for t in there if t != port.msgtype)
+    types = middleware.topics().get(middleware.resolve(port.topic), ())
+    return ", ".join(t for t in types if t != port.msgtype)
