@@ -282,7 +282,7 @@ def test_a_run_goes_back_from_its_page_and_the_branch_equals_run_from(tmp_path):
 
 
 def test_parameters_stay_changed_after_going_back_and_the_old_branch_can_be_run(tmp_path):
-    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
+    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, folder=lambda: tmp_path)
     session, control = source.session, source.control
     session.go(0.05)
     control.turn("me", "dc_motor_smc.delta", 0.5)
@@ -325,7 +325,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     plain._place = lambda: tmp_path
     plain.control.go_back("me", 0.0)  # no parameter was changed, so nothing is kept
     assert plain.session.t == 0.0
-    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
+    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, folder=lambda: tmp_path)
     source.control.turn("me", "dc_motor_smc.delta", 0.5)
     source.session.go(0.05)
     source.read_new()

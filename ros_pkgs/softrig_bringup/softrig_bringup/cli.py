@@ -139,10 +139,10 @@ def _verb(arguments: list[str]) -> int:
             import importlib
 
             module, function, _ = FOREIGN[name]
-            given = arguments[words:]
-            asked = {"-q", "--quiet"} & set(given)
+            remaining = arguments[words:]
+            asked = {"-q", "--quiet"} & set(remaining)
             with quietly() if asked else nullcontext():
-                return int(getattr(importlib.import_module(module), function)([a for a in given if a not in asked]))
+                return int(getattr(importlib.import_module(module), function)([a for a in remaining if a not in asked]))
     if arguments[:1] == ["help"]:
         arguments = [*arguments[1:], "--help"]
     if arguments == ["version"]:

@@ -71,22 +71,22 @@ class ResultsFolder:
         The folder has a conflicting file that no run of softrig has listed as its own, or results of another kind.
     """
 
-    def __init__(self, path: Path, ours: re.Pattern[str] = RUN) -> None:
+    def __init__(self, path: Path, pattern: re.Pattern[str] = RUN) -> None:
         self.path = path
         self._lock: int | None = None
         if path.exists() and not path.is_dir():
             raise ScenarioError(f"{path} is a file, expected a folder for the results")
         for mark, kind in MARKS.items():  # hours of runs are not for a word's worth of another kind
-            if not ours.fullmatch(mark) and (path / mark).exists():
+            if not pattern.fullmatch(mark) and (path / mark).exists():
                 raise ScenarioError(f"{path} holds a {kind}; choose another --out, or remove it")
         self._old = _listed(path)
         self._broken_off = next((name for name in self._old if name.startswith(UNDER_WAY)), "")
         if self._broken_off:
             self._old.discard(self._broken_off)
-            self._old |= {f for f in _files(path) if ours.fullmatch(Path(f).parts[0])}
+            self._old |= {f for f in _files(path) if pattern.fullmatch(Path(f).parts[0])}
         self._foreign = {f for f in _files(path) if f not in self._old}
         for file in sorted(self._foreign):
-            if ours.fullmatch(Path(file).parts[0]):
+            if pattern.fullmatch(Path(file).parts[0]):
                 raise ScenarioError(_foreign(path / file))
         self.replaced = _what(path) if self._old & set(_files(path)) else ""
 
@@ -106,8 +106,8 @@ class ResultsFolder:
             Nothing can be written there.
         """
         try:
-            if (other := self.hold()) is not None:
-                raise ScenarioError(_writing(self.path, other))
+            if (holder := self.hold()) is not None:
+                raise ScenarioError(_writing(self.path, holder))
             self._list([MANIFEST, UNDER_WAY + once])
         except OSError as error:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
@@ -171,15 +171,15 @@ class ResultsFolder:
         self.begin(once)
         try:
             for file in self._old - {MANIFEST}:
-                place = self.path / file
-                if _inside(self.path, place):
-                    place.unlink(missing_ok=True)
+                target = self.path / file
+                if _inside(self.path, target):
+                    target.unlink(missing_ok=True)
         except OSError as error:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
         for folder in sorted({p for f in self._old for p in Path(f).parents}, key=lambda p: -len(p.parts)):
-            place = self.path / folder
-            if folder.parts and place.is_dir() and not place.is_symlink() and not any(place.iterdir()):
-                place.rmdir()
+            target = self.path / folder
+            if folder.parts and target.is_dir() and not target.is_symlink() and not any(target.iterdir()):
+                target.rmdir()
 
     def close(self) -> None:
         """List everything that this run has written, so that a later one may replace it."""
@@ -193,10 +193,10 @@ class ResultsFolder:
         except (ScenarioError, RunError, OSError, MemoryError):
             raise  # told in one line
         except Exception as error:
-            kept = Path(keep_traceback(self.path / "log"))
-            if kept.is_relative_to(self.path):
-                self._list(sorted({MANIFEST, *_listed(self.path), str(kept.relative_to(self.path))}))
-            vars(error)["log"] = str(kept)
+            traceback = Path(keep_traceback(self.path / "log"))
+            if traceback.is_relative_to(self.path):
+                self._list(sorted({MANIFEST, *_listed(self.path), str(traceback.relative_to(self.path))}))
+            vars(error)["log"] = str(traceback)
             raise
         finally:
             self.let_go()
@@ -276,8 +276,8 @@ def _lock(path: Path) -> int | str:
     return lock
 
 
-def _writing(path: Path, other: str) -> str:
-    return f"{path}: {other} is writing there; wait for it, or choose another folder"
+def _writing(path: Path, holder: str) -> str:
+    return f"{path}: {holder} is writing there; wait for it, or choose another folder"
 
 
 def _holder(path: Path) -> str:
@@ -319,9 +319,9 @@ def list_too(file: Path) -> None:
         replace(file.parent / MANIFEST, json.dumps(sorted({*names, file.name}), indent=1) + "\n")
 
 
-def _inside(path: Path, place: Path) -> bool:
+def _inside(path: Path, file: Path) -> bool:
     """Return whether the folder of a file is really below `path`, no link in between."""
-    return place.parent.resolve().is_relative_to(path.resolve())
+    return file.parent.resolve().is_relative_to(path.resolve())
 
 
 def _what(path: Path) -> str:

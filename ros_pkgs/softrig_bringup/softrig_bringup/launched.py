@@ -112,10 +112,10 @@ class Launched:
     sent = signal.SIGINT
 
     def __init__(self, values: Mapping[str, str]) -> None:
-        given = {name: values.get(name) or default or "" for name, (default, _, _) in ARGUMENTS.items()}
-        self._options = options = _options(given)
-        self._record, self._judge = given["record"] != "false", given["judge"] == "true"
-        self._frames = given["frames"] == "true"
+        arguments = {name: values.get(name) or default or "" for name, (default, _, _) in ARGUMENTS.items()}
+        self._options = options = _options(arguments)
+        self._record, self._judge = arguments["record"] != "false", arguments["judge"] == "true"
+        self._frames = arguments["frames"] == "true"
         self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._placement = rig.scenario.seed, run_options.placement_of(options)
         self._realtime = self._placement.clock == "realtime"
@@ -131,28 +131,28 @@ class Launched:
             atexit.register(rmtree, self._log, ignore_errors=True)
         self._begun = time.monotonic()
         self._error, self._stopped = "", False
-        self._namespace = given["namespace"].strip("/")
+        self._namespace = arguments["namespace"].strip("/")
         self._variables: dict[str, str] = {}
         if not os.environ.get(VARIABLE):  # nobody is taken for dead before the scenario's patience is over
             self._variables[VARIABLE] = str(patient(default_profile(), self._log, rig.scenario.timeout))
         self.processes = [
-            self._process(group, self._namespace, given["wait_for"].split())
+            self._process(group, self._namespace, arguments["wait_for"].split())
             for group in groups(rig, self._placement.shared(rig))
         ]
         self._running = len(self.processes)
-        if given["use_rviz"] == "true":
+        if arguments["use_rviz"] == "true":
             self.processes.append(viewer(rig, self._log, self._namespace, not self._realtime))
 
     def _process(self, group: list[Member], namespace: str, recorders: list[str]) -> Process:
         rig, log = self._rig, self._log
         keep = self._record or self._judge
-        own: dict[str, object] = {"run.start_timeout": 0.0} if any(m.external for m in rig.members) else {}
-        own |= {} if self._frames else {"run.frames": False}
-        given = {
+        extra: dict[str, object] = {"run.start_timeout": 0.0} if any(m.external for m in rig.members) else {}
+        extra |= {} if self._frames else {"run.frames": False}
+        parameters = {
             m.name: node_parameters(
                 rig, m, self._seed, "realtime" if self._realtime else "lockstep", recorders=recorders
             )
-            | own
+            | extra
             | {"run.status": str(log / f"{m.name}.status"), "run.shard": str(log / f"{m.name}.shard") if keep else ""}
             for m in group
         }
@@ -160,7 +160,7 @@ class Launched:
         moved = {f"/{name}": f"/{namespace}/{name}" for name in ROOTED} if namespace else {}
         if len(group) > 1:
             shared = moved | ({"__ns": f"/{namespace}"} if namespace else {})
-            words = container_arguments(group, given, log, shared)
+            words = container_arguments(group, parameters, log, shared)
             return Process("softrig_nodes", "container", arguments=words, variables=self._variables)
         m = group[0]
         return Process(
@@ -168,7 +168,7 @@ class Launched:
             m.executable,
             m.name,
             namespace,
-            parameters=[str(parameter_file(m, given[m.name], log))],
+            parameters=[str(parameter_file(m, parameters[m.name], log))],
             remappings=[*(m.remap | moved).items()],
             variables=self._variables,
         )
@@ -237,15 +237,15 @@ class Launched:
         return run_verb.conclude(options, run, self._folder), run.stopped_at
 
 
-def _options(given: Mapping[str, str]) -> argparse.Namespace:
+def _options(args: Mapping[str, str]) -> argparse.Namespace:
     """Return the equivalent options of `softrig run`."""
-    words = [given["scenario"], "--mode", given["place"], *(["--realtime"] if given["mode"] == "realtime" else [])]
+    words = [args["scenario"], "--mode", args["place"], *(["--realtime"] if args["mode"] == "realtime" else [])]
     for name, option in (("duration", "duration"), ("seed", "seed"), ("params_file", "params-file"), ("out", "out")):
-        words += [f"--{option}={given[name]}"] if given[name] else []
-    if given["params_file"] and given["namespace"]:
-        words += [f"--namespace={given['namespace']}"]
-    words += ["--record-all"] if given["record"] == "all" else []
-    for node in given["external"].split():
+        words += [f"--{option}={args[name]}"] if args[name] else []
+    if args["params_file"] and args["namespace"]:
+        words += [f"--namespace={args['namespace']}"]
+    words += ["--record-all"] if args["record"] == "all" else []
+    for node in args["external"].split():
         words += ["--external", node]
     try:
         return run_options.Again().parse_args(words)

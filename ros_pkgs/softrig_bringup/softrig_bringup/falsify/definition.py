@@ -64,7 +64,7 @@ def list_falsifications() -> dict[str, Path]:
     return result
 
 
-def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
+def falsification_of(name: str, changes: dict[str, Any]) -> Falsification:
     """Read a falsification by name or file, or make one of a scenario, with the command line's changes.
 
     Raises
@@ -73,21 +73,21 @@ def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
         Neither, or bad data; names file and key.
     """
     known = list_falsifications()
-    path = known.get(what) or (Path(what) if what.endswith(SUFFIX) and isfile(what) else None)
+    path = known.get(name) or (Path(name) if name.endswith(SUFFIX) and isfile(name) else None)
     if path is not None:
         raw = {"title": path.name, **read_mapping(path), "name": path.name.removesuffix(SUFFIX)}
-    elif isfile(what) or find(what) is not None:
-        raw = {"name": Path(what).stem, "scenario": what}
+    elif isfile(name) or find(name) is not None:
+        raw = {"name": Path(name).stem, "scenario": name}
     else:
         names = [*known, *list_scenarios()]
-        raise ScenarioError(f"{what!r} is neither a falsification nor a scenario{closest(what, names)}")
-    where = path.name if path else what
+        raise ScenarioError(f"{name!r} is neither a falsification nor a scenario{closest(name, names)}")
+    source = path.name if path else name
     raw["over"] = {**raw.get("over", {}), **changes.pop("over", {})}
     if not raw["over"]:
         raise ScenarioError(
-            f"{where}: over what? --over NAME=LOW..HIGH of a node or a fault, or --over SIGNAL=LOW..HIGH*6"
+            f"{source}: over what? --over NAME=LOW..HIGH of a node or a fault, or --over SIGNAL=LOW..HIGH*6"
         )
     try:
         return Falsification.model_validate(raw | changes)
     except ValidationError as error:
-        raise ScenarioError(f"{where}: {explain(error, Falsification)}") from None
+        raise ScenarioError(f"{source}: {explain(error, Falsification)}") from None

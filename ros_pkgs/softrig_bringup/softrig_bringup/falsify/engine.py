@@ -116,12 +116,12 @@ def prepare(task: Falsification) -> Prepared:
     """
     scenario = load_scenario(task.scenario).changed(duration=task.duration)
     names = _requirements(scenario, task.requirements)
-    space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
+    space = space_of(scenario, [parse(key, interval) for key, interval in task.over.items()])
     machine = ", ".join(map(_before, space.overs, space.nominal))
     free = {"name", "title", "expect", "budget", "first"}
     rig = checked(scenario)
-    own = {f.name for f in figures_of(rig) if not follows(f, rig.scenario.expect.get(f.name))}
-    left = () if task.requirements or task.strict else tuple(name for name in names if name in own)
+    unjudged = {f.name for f in figures_of(rig) if not follows(f, rig.scenario.expect.get(f.name))}
+    left = () if task.requirements or task.strict else tuple(name for name in names if name in unjudged)
     if len(left) == len(names):
         raise ScenarioError(
             f"{task.scenario}: no requirement follows the machine; {', '.join(left)}: published for {machine}; "
@@ -135,7 +135,7 @@ def prepare(task: Falsification) -> Prepared:
     nominal = repeating(trial(scenario, {}, names, runs=task.budget))
     if nominal["error"]:
         raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
-    return Prepared(space, names, nominal["figures"], content, tuple(n for n in names if n in own), left, machine)
+    return Prepared(space, names, nominal["figures"], content, tuple(n for n in names if n in unjudged), left, machine)
 
 
 def _before(over: Over, nominal: Any) -> str:
@@ -162,7 +162,7 @@ def falsify(
     ScenarioError
         The folder holds another falsification.
     """
-    space, names, nominal, content, own, left, machine = prepared
+    space, names, nominal, content, unjudged, left, machine = prepared
     replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))
     sizes = _sizes(nominal)
     asked: list[Point] = []
@@ -187,9 +187,9 @@ def falsify(
             sampler=task.sampler,
             enough=0.0 if task.first else -math.inf,
         )
-    whole = [(point, row) for point, row in zip(asked, rows, strict=True) if not row["error"]]
-    if whole and is_suspect(rig_of(space.scenario)):
-        point, last = whole[-1]
+    complete = [(point, row) for point, row in zip(asked, rows, strict=True) if not row["error"]]
+    if complete and is_suspect(rig_of(space.scenario)):
+        point, last = complete[-1]
         repeated(task.name, trial(space.scenario, space.overrides(point), names, last["number"], task.budget), last)
     broken = [(row["overrides"], row["error"]) for row in rows if row["error"]]
     worst = next((row for row, point in zip(rows, asked, strict=True) if point == match.point), None)
@@ -200,7 +200,9 @@ def falsify(
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
         small_margins = run(trial(*small, names, runs=SHRINKING))["figures"]
     margins = worst["figures"] if worst is not None else {}
-    return Outcome(space, names, nominal, margins, match, case, small, small_margins, runs, broken, own, left, machine)
+    return Outcome(
+        space, names, nominal, margins, match, case, small, small_margins, runs, broken, unjudged, left, machine
+    )
 
 
 def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:

@@ -61,9 +61,9 @@ def _standing_alone(text: str, file: Path) -> Scenario:
         The scenario cannot run by itself.
     """
     with TemporaryDirectory() as folder:
-        place = Path(folder) / file.name
-        place.write_text(text)
-        return load_scenario(str(place))
+        draft = Path(folder) / file.name
+        draft.write_text(text)
+        return load_scenario(str(draft))
 
 
 def _kept(outcome: Outcome) -> dict[str, Any]:
@@ -76,13 +76,13 @@ def _kept(outcome: Outcome) -> dict[str, Any]:
 
 def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool, also: str) -> Run:
     """Run a case once more and write its bag, figures, pictures and page."""
-    place = ResultsFolder(folder)
-    place.clear()
+    results = ResultsFolder(folder)
+    results.clear()
     done = execute(checked(scenario), Placement("inprocess"), folder / "log")
     figures = [] if done.error else done.results
-    save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place)
+    save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), results)
     if plots:
-        illustrate(done, place, also)
+        illustrate(done, results, also)
     return done
 
 
@@ -182,6 +182,6 @@ def verdict(outcome: Outcome) -> str:
         return f"none of {runs} runs could be judged"
     first = f"corners alone: {number(result.corners)}" if result.corners < math.inf else "no corners asked"
     if outcome.violated:
-        made = f"made small in {outcome.shrinking} more runs"
-        return f"violated: {', '.join(outcome.violated)}, least margin {number(result.least)} ({first}); {made}"
+        effort = f"made small in {outcome.shrinking} more runs"
+        return f"violated: {', '.join(outcome.violated)}, least margin {number(result.least)} ({first}); {effort}"
     return f"no violation in {runs} runs; least margin {number(result.least)} ({first}), at"

@@ -39,8 +39,8 @@ def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files:
         Scenario files of the worst run and the small one.
     """
     asked = f"Does every run keep {_and(outcome.names)} over {_and(list(task.over))}?"
-    held = not outcome.violated
-    answer = f"no violation in {outcome.search.runs} runs" if held else f"violated: {', '.join(outcome.violated)}"
+    fulfilled = not outcome.violated
+    answer = f"no violation in {outcome.search.runs} runs" if fulfilled else f"violated: {', '.join(outcome.violated)}"
     already = [name for name in outcome.violated if (nominal := outcome.nominal[name]) is not None and nominal < 0.0]
     answer += f"; without any change already: {', '.join(already)}" if already else ""
     if outcome.case is None:
@@ -58,7 +58,7 @@ def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files:
             "header",
             e("h1", task.title or task.name),
             e("p", asked, class_="what"),
-            e("p", mark(held and outcome.case is not None, answer)),
+            e("p", mark(fulfilled and outcome.case is not None, answer)),
             e("dl", *(e("div", e("dt", k), e("dd", v)) for k, v in facts), class_="facts"),
         ),
         e("h2", "Margins"),
@@ -95,8 +95,8 @@ def _margins(outcome: Outcome, units: Mapping[str, str]) -> Element:
     return table(("Requirement", "What it asks", "Unit", "As it is", "Worst found", "Made small"), rows, "   nnn")
 
 
-def _and(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1] if words else "")))
+def _and(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1] if names else "")))
 
 
 def history(outcome: Outcome) -> Figure:
@@ -108,8 +108,8 @@ def history(outcome: Outcome) -> Figure:
     ax = figure.subplots()
     ax.plot(runs, trace, drawstyle="steps-post")
     ax.axhline(0.0, color=look.VIOLATED, linewidth=1.0)
-    place: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "fontsize": 8}
-    ax.annotate("violated below", (1.0, 0.0), (-4, -4), ha="right", va="top", color=look.VIOLATED, **place)
+    style: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "fontsize": 8}
+    ax.annotate("violated below", (1.0, 0.0), (-4, -4), ha="right", va="top", color=look.VIOLATED, **style)
     ax.whole_numbers()
     ax.margins(x=0.02, y=0.1)
     ax.set_xlabel("Run")

@@ -41,7 +41,7 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
         named = (figure_of.arguments.get(k) for k in SIGNALS)
         signals = {name: name for name in named if isinstance(name, str)}
     units = signal_units(last.rig)
-    held = {
+    stepped = {
         f"{t}/{label}"
         for m in last.rig.members
         if not m.is_plant
@@ -49,10 +49,10 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
         for t, label in ((p.topic, x) for x in p.labels)
     }
     rows = {
-        name: [Curve(label, units[signal], *run.signals[signal], signal in held) for label, run in runs.items()]
+        name: [Curve(label, units[signal], *run.signals[signal], signal in stepped) for label, run in runs.items()]
         for name, signal in signals.items()
     }
-    different = {n: c for n, c in rows.items() if any(not np.array_equal(c[0].y, other.y) for other in c[1:])}
+    different = {n: c for n, c in rows.items() if any(not np.array_equal(c[0].y, curve.y) for curve in c[1:])}
     # A reference that is the same in all runs shows nothing, unless there is nothing else.
     rows = different or rows
     first = next(iter(signals.values()), "")  # a requirement is marked on each of its signals

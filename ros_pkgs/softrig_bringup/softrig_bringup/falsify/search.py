@@ -113,11 +113,11 @@ def search(
         return result
     rng = np.random.default_rng(seed)
     first = max(FEW, round(CORNERS * budget))
-    held = sampler == "cmaes" and 1 < len(groups) < size
-    few = FEW if held else first
+    staged = sampler == "cmaes" and 1 < len(groups) < size
+    few = FEW if staged else first
     _corners(groups, rng, tell, lambda: over() or result.runs >= few, few)
     result.corners = result.least
-    if held:
+    if staged:
 
         def constant(points: Sequence[Point]) -> list[float]:
             return tell([tuple(np.repeat(point, groups).tolist()) for point in points])
@@ -258,8 +258,8 @@ def _climb(
                 return runs
             tell(fresh)
             runs += len(fresh)
-            for other in ends:
-                margin = known.get(other, math.nan)
+            for neighbour in ends:
+                margin = known.get(neighbour, math.nan)
                 if margin < best or (math.isnan(best) and not math.isnan(margin)):
-                    point, best, better = other, margin, True
+                    point, best, better = neighbour, margin, True
     return runs

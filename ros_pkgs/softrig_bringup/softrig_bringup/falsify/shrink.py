@@ -63,15 +63,15 @@ def _without_faults(space: Space, case: Case) -> Iterator[Case]:
     for name, fault in scenario.faults.items():
         faults = {n: f for n, f in scenario.faults.items() if n != name}
         left = {k: v for k, v in overrides.items() if not k.startswith(f"{name}.")}
-        gone = f"{fault.link.partition('->')[0].strip()}/{name}/"  # the topic behind it
-        drawn = [(p, {s: label for s, label in p.signals.items() if gone not in s}) for p in scenario.plots]
+        prefix = f"{fault.link.partition('->')[0].strip()}/{name}/"  # the topic behind it
+        drawn = [(p, {s: label for s, label in p.signals.items() if prefix not in s}) for p in scenario.plots]
         plots = tuple(p.model_copy(update={"signals": signals}) for p, signals in drawn if signals)
         yield scenario.model_copy(update={"faults": faults, "plots": plots}), left
 
 
 def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
     """Move each parameter to its nominal value, or by halving as near to it as the violation allows."""
-    for over, target, nominal, whole in zip(space.overs, space.targets, space.nominal, space.whole, strict=True):
+    for over, target, nominal, integral in zip(space.overs, space.targets, space.nominal, space.whole, strict=True):
         scenario, overrides = case
         if target not in overrides or over.on_signal:
             continue
@@ -79,11 +79,11 @@ def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
         if still((scenario, left)):
             case = scenario, left
         else:
-            case = _nearer(over, target, nominal, whole, case, still)
+            case = _nearer(over, target, nominal, integral, case, still)
     return case
 
 
-def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]) -> Case:
+def _nearer(over: Over, target: str, nominal: Any, integral: bool, case: Case, still: Callable[[Case], bool]) -> Case:
     """Move one parameter towards its nominal value as far as the violation allows; a list moves as a whole."""
     scenario, overrides = case
     worst, good = (x if isinstance(x, list) else [x] for x in (overrides[target], nominal))
@@ -94,7 +94,7 @@ def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, stil
 
     def between(share: float) -> Any:
         values = [a * (b / a) ** share if log else a + (b - a) * share for a, b in zip(good, worst, strict=True)]
-        values = [round(v) for v in values] if whole else values
+        values = [round(v) for v in values] if integral else values
         return values if over.count else values[0]
 
     low, high = 0.0, 1.0

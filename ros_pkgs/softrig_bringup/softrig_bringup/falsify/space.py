@@ -60,7 +60,7 @@ class Over(Span):
         return (value - self.low) / (self.high - self.low)
 
 
-def parse(key: str, given: str) -> Over:
+def parse(key: str, text: str) -> Over:
     """Read one range; a key that ends with ``+`` adds to its signal.
 
     Raises
@@ -70,11 +70,11 @@ def parse(key: str, given: str) -> Over:
     """
     key = key.strip()
     adds, key = key.endswith("+"), key.removesuffix("+").strip()
-    over = Over(**asdict(span(key, given)), key=key, adds=adds)
+    over = Over(**asdict(span(key, text)), key=key, adds=adds)
     if over.on_signal and not over.count:
-        raise ScenarioError(f"{key}={given}: a signal needs a profile, such as {over.low:g}..{over.high:g}*6")
+        raise ScenarioError(f"{key}={text}: a signal needs a profile, such as {over.low:g}..{over.high:g}*6")
     if adds and not over.on_signal:
-        raise ScenarioError(f"{key}+={given}: only to signals can be added")
+        raise ScenarioError(f"{key}+={text}: only to signals can be added")
     return over
 
 
@@ -112,11 +112,11 @@ class Space:
     def overrides(self, point: Sequence[float]) -> dict[str, Any]:
         """Return the changes of a point of the unit cube."""
         result: dict[str, Any] = {}
-        at = 0
-        for over, target, whole in zip(self.overs, self.targets, self.whole, strict=True):
-            values = [over.value(u) for u in point[at : at + over.size]]
-            values = [round(v) for v in values] if whole else values
-            at += over.size
+        first = 0
+        for over, target, integral in zip(self.overs, self.targets, self.whole, strict=True):
+            values = [over.value(u) for u in point[first : first + over.size]]
+            values = [round(v) for v in values] if integral else values
+            first += over.size
             result[target] = values if over.count else values[0]
         return result
 
@@ -134,28 +134,28 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
     faults = {n: e.model_dump() for n, e in scenario.faults.items()}
     targets: list[str] = []
     nominal: list[Any] = []
-    whole: list[bool] = []
+    integral: list[bool] = []
     for k, over in enumerate(overs):
-        if any(over.key == other.key for other in overs[:k]):
+        if any(over.key == earlier.key for earlier in overs[:k]):
             raise ScenarioError(f"{over.key} is given twice")
         if over.on_signal:
             name = f"profile_{k}"
             faults[name] = _profile(rig, over)
             targets.append(f"{name}.points")
             nominal.append(None)
-            whole.append(False)
+            integral.append(False)
             continue
         value = _parameter(params, over.key)
         targets.append(over.key)
         nominal.append(value)
         first = value[0] if isinstance(value, list) and value else value
-        whole.append(isinstance(first, int))
+        integral.append(isinstance(first, int))
         number = isinstance(first, int | float) and not isinstance(first, bool)
         if isinstance(value, list) != bool(over.count) or not (number or value == []):
             kind = f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"
             raise ScenarioError(f"{over.key} is {kind}: {'a number is searched' if not over.count else FORMS}")
     changed = scenario.having(faults=faults)
-    space = Space(changed, tuple(overs), tuple(targets), tuple(nominal), tuple(whole))
+    space = Space(changed, tuple(overs), tuple(targets), tuple(nominal), tuple(integral))
     # A block that refuses an end of a range does so now, with the bounds of the parameter, not in the middle of a
     # search.
     for corner in (0.0, 0.5, 1.0):
@@ -166,7 +166,7 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
 def _parameter(params: Mapping[str, Mapping[str, Any]], key: str) -> Any:
     node, _, name = key.partition(".")
     if node not in params or not name:
-        if meant := [f"{own}.{name or key}" for own, has in params.items() if (name or key) in has]:
+        if meant := [f"{member}.{name or key}" for member, has in params.items() if (name or key) in has]:
             raise ScenarioError(f"{key}: expected node.parameter; did you mean {' or '.join(meant)}?")
         raise ScenarioError(
             f"{key!r}{closest(node, params)}: expected node.parameter, with node one of "

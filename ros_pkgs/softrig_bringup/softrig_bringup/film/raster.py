@@ -40,12 +40,12 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
     if form != "gif":
         return _written(images, form, 1), ""
     for colours, every in REDUCED:
-        made = _written([i.quantize(colours, dither=Image.Dither.NONE) for i in images[::every]], form, every)
-        if len(made) <= LARGEST:
+        data = _written([i.quantize(colours, dither=Image.Dither.NONE) for i in images[::every]], form, every)
+        if len(data) <= LARGEST:
             text = f"reduced to {colours} colours and {len(images[::every])} frames"
-            return made, text if (colours, every) != REDUCED[0] else ""
+            return data, text if (colours, every) != REDUCED[0] else ""
     raise ScenarioError(
-        f"a GIF of {len(made) / 1e6:.2f} MB with {colours} colours and {len(images[::every])} frames, "
+        f"a GIF of {len(data) / 1e6:.2f} MB with {colours} colours and {len(images[::every])} frames, "
         f"expected at most {LARGEST / 1e6:g} MB: choose a shorter window (--from, --to), a greater "
         "--speed, or SVG"
     )
@@ -53,10 +53,10 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
 
 def _written(images: Sequence[Image.Image], form: str, every: int) -> bytes:
     """Write a film with every n-th frame."""
-    out = BytesIO()
-    own = {"gif": {"disposal": 1, "optimize": True}, "webp": {"lossless": True, "method": 4}, "png": {}}[form]
-    images[0].save(out, form, save_all=True, append_images=images[1:], duration=1000 * every // FRAMES, loop=0, **own)
-    return out.getvalue()
+    file = BytesIO()
+    more = {"gif": {"disposal": 1, "optimize": True}, "webp": {"lossless": True, "method": 4}, "png": {}}[form]
+    images[0].save(file, form, save_all=True, append_images=images[1:], duration=1000 * every // FRAMES, loop=0, **more)
+    return file.getvalue()
 
 
 def picture(shapes: list[Shape], bounds: tuple[float, float, float, float]) -> Image.Image:
@@ -102,14 +102,14 @@ def _dashes(corners: list[Point]) -> list[tuple[Point, Point]]:
     result, walked = [], 0.0
     for a, b in pairwise(corners):
         length = ((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) ** 0.5
-        at = 0.0
-        while at < length:
+        d = 0.0
+        while d < length:
             phase = walked % (9.0 * FINER)
-            step = min((5.0 if phase < 5.0 * FINER else 9.0) * FINER - phase, length - at)
+            step = min((5.0 if phase < 5.0 * FINER else 9.0) * FINER - phase, length - d)
             if phase < 5.0 * FINER:
-                ends = [(a[0] + (b[0] - a[0]) * s / length, a[1] + (b[1] - a[1]) * s / length) for s in (at, at + step)]
+                ends = [(a[0] + (b[0] - a[0]) * s / length, a[1] + (b[1] - a[1]) * s / length) for s in (d, d + step)]
                 result.append((ends[0], ends[1]))
-            at, walked = at + max(step, 1e-6), walked + max(step, 1e-6)
+            d, walked = d + max(step, 1e-6), walked + max(step, 1e-6)
     return result
 
 

@@ -41,26 +41,26 @@ def _moving(series: Sequence[Shape], film: Film, clips: list[Element]) -> Elemen
             if len(set(values)) > 1:
                 result.append(_animate(name, [number(v) for v in values], film, jump))
         return result
-    places = [s.points for s in series if isinstance(s, Line | Polygon)]
-    if len(set(places)) == 1:
+    positions = [s.points for s in series if isinstance(s, Line | Polygon)]
+    if len(set(positions)) == 1:
         return result
-    shifts = [(p[0][0] - places[0][0][0], p[0][1] - places[0][0][1]) for p in places]
-    if all(_shifted(places[0], p, s) for p, s in zip(places, shifts, strict=True)):
+    shifts = [(p[0][0] - positions[0][0][0], p[0][1] - positions[0][0][1]) for p in positions]
+    if all(_shifted(positions[0], p, s) for p, s in zip(positions, shifts, strict=True)):
         result.append(_shift(shifts, film))
     else:
-        result.append(_animate("points", [points(p) for p in places], film, _jumps(places)))
+        result.append(_animate("points", [points(p) for p in positions], film, _jumps(positions)))
     return result
 
 
-def _shifted(first: Sequence[Point], now: Sequence[Point], by: Point) -> bool:
-    return all(abs(b[0] - a[0] - by[0]) < 0.15 and abs(b[1] - a[1] - by[1]) < 0.15 for a, b in zip(first, now))
+def _shifted(first: Sequence[Point], now: Sequence[Point], shift: Point) -> bool:
+    return all(abs(b[0] - a[0] - shift[0]) < 0.15 and abs(b[1] - a[1] - shift[1]) < 0.15 for a, b in zip(first, now))
 
 
-def _jumps(places: Sequence[Sequence[Point]]) -> bool:
+def _jumps(positions: Sequence[Sequence[Point]]) -> bool:
     """Return whether a shape jumps; a jumping shape is not moved smoothly between frames."""
     return any(
         abs(a[0] - b[0]) > JUMP or abs(a[1] - b[1]) > JUMP
-        for before, now in pairwise(places)
+        for before, now in pairwise(positions)
         for a, b in zip(before, now)
     )
 
@@ -89,7 +89,7 @@ def _shift(shifts: Sequence[Point], film: Film, discrete: bool = False) -> Eleme
 def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
     """Draw a changing text as a strip of all its texts behind a window of one line; the strip is shifted."""
     first = series[0]
-    places = [s.at for s in series]
+    positions = [s.at for s in series]
     texts = [s.text for s in series[::SPOKEN]]
     result = element(first)
     if len(set(texts)) > 1:
@@ -112,9 +112,9 @@ def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
         )
         clips.append(e("clipPath", window, id=name))
         result = e("g", result, **{"clip-path": f"url(#{name})"})
-    if len(set(places)) > 1:
+    if len(set(positions)) > 1:
         result = e("g", result)
-        result.append(_shift([(x - places[0][0], y - places[0][1]) for x, y in places], film))
+        result.append(_shift([(x - positions[0][0], y - positions[0][1]) for x, y in positions], film))
     return result
 
 

@@ -22,9 +22,9 @@ def sheet(dark: bool | None = None) -> str:
         Colours for dark ground, or light; by what the reader's system prefers without it.
     """
 
-    def rules(which: int) -> str:
+    def rules(column: int) -> str:
         return "".join(
-            f".s-{role}{{stroke:{pair[which]}}}.f-{role}{{fill:{pair[which]}}}" for role, pair in PALETTE.items()
+            f".s-{role}{{stroke:{pair[column]}}}.f-{role}{{fill:{pair[column]}}}" for role, pair in PALETTE.items()
         )
 
     text = f"text{{font-family:{FONT};font-variant-numeric:tabular-nums}}"
@@ -39,8 +39,8 @@ def element(shape: Shape) -> Element:
     if isinstance(shape, Text):
         x, y = shape.at
         anchor = {} if shape.anchor == "start" else {"text-anchor": shape.anchor}
-        own = {"font-size": number(shape.size)} | anchor
-        return e("text", shape.text, x=number(x), y=number(y), class_=f"f-{shape.role}", **own)
+        attributes = {"font-size": number(shape.size)} | anchor
+        return e("text", shape.text, x=number(x), y=number(y), class_=f"f-{shape.role}", **attributes)
     style = [f"s-{shape.role}"] if shape.width else []
     width = {"stroke-width": number(shape.width)} if shape.width else {}
     if isinstance(shape, Line):
@@ -48,11 +48,11 @@ def element(shape: Shape) -> Element:
         return e("polyline", points=points(shape.points), fill="none", class_=" ".join(style), **width)
     style += [f"f-{shape.fill}"] if shape.fill else []
     filled = {} if shape.fill else {"fill": "none"}
-    own = {"class_": " ".join(style)} | filled | width
+    attributes = {"class_": " ".join(style)} | filled | width
     if isinstance(shape, Circle):
         (x, y), r = shape.centre, shape.radius
-        return e("circle", cx=number(x), cy=number(y), r=number(r), **own)
-    return e("polygon", points=points(shape.points), **own)
+        return e("circle", cx=number(x), cy=number(y), r=number(r), **attributes)
+    return e("polygon", points=points(shape.points), **attributes)
 
 
 def root(bounds: tuple[float, float, float, float], title: str, *content: Element, dark: bool | None = None) -> Element:
@@ -73,9 +73,9 @@ def root(bounds: tuple[float, float, float, float], title: str, *content: Elemen
     )
 
 
-def points(of: tuple[Point, ...]) -> str:
+def points(corners: tuple[Point, ...]) -> str:
     """Write points as SVG has them."""
-    return " ".join(f"{number(x)},{number(y)}" for x, y in of)
+    return " ".join(f"{number(x)},{number(y)}" for x, y in corners)
 
 
 def number(value: float) -> str:

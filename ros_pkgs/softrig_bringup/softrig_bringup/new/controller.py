@@ -119,10 +119,10 @@ def _change(member: Member) -> str:
     return f"{member.name}.{chosen.name}={0.9 * values[chosen.name]:.4g}"
 
 
-def _described(ports: tuple[Port, ...], way: str, units: dict[str, str]) -> Iterator[str]:
+def _described(ports: tuple[Port, ...], direction: str, units: dict[str, str]) -> Iterator[str]:
     """Write a paragraph of a docstring for each port: name, topic, values with units."""
     for port in ports:
         shown = [f"{label} ({units.get(f'{port.topic}/{label}') or '1'})" for label in port.labels[:MANY]]
         more = f" and {len(port.labels) - MANY} more" if len(port.labels) > MANY else ""
-        text = f"{port.name}, {way} {port.topic}: {', '.join(shown) or port.msgtype}{more}"
+        text = f"{port.name}, {direction} {port.topic}: {', '.join(shown) or port.msgtype}{more}"
         yield textwrap.fill(text, 110, initial_indent="    - ", subsequent_indent="      ", break_on_hyphens=False)

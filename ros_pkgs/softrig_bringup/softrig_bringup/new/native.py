@@ -63,18 +63,18 @@ def new_native(name: str, folder: Path, language: str, command: str) -> Path:
     Path
         Its scenario.
     """
-    made = LANGUAGES[language]
-    values = {"name": name, "NAME": name.upper(), "language": made.title, "softrig": command}
+    spec = LANGUAGES[language]
+    values = {"name": name, "NAME": name.upper(), "language": spec.title, "softrig": command}
     values |= {"also": {"c++": " CXX", "fortran": " Fortran"}.get(language, "")}
-    values |= {key: Template(text).substitute(values) for key, text in made._asdict().items() if isinstance(text, str)}
+    values |= {key: Template(text).substitute(values) for key, text in spec._asdict().items() if isinstance(text, str)}
     source = files("softrig_bringup") / "template" / "native"
     try:
-        for file, to in (EVERY | made.files).items():
-            place = folder / Template(to).substitute(values)
-            place.parent.mkdir(parents=True, exist_ok=True)
+        for file, pattern in (EVERY | spec.files).items():
+            target = folder / Template(pattern).substitute(values)
+            target.parent.mkdir(parents=True, exist_ok=True)
             text = Template((source / f"{file}.template").read_text(encoding="utf-8")).substitute(values)
-            with naming(place):
-                place.write_text(text, encoding="utf-8")
+            with naming(target):
+                target.write_text(text, encoding="utf-8")
     except OSError:
         rmtree(folder, ignore_errors=True)  # which was not there before
         raise
@@ -85,8 +85,8 @@ def next_steps(scenario: Path, language: str, command: str) -> str:
     """Describe the written files, and the next steps."""
     folder = shlex.quote(os.path.relpath(scenario.parent))
     build = f"  cargo build --release --manifest-path {folder}/Cargo.toml\n" if language == "rust" else ""
-    made = LANGUAGES[language].title
+    title = LANGUAGES[language].title
     return (
-        f"wrote {folder}: a control law in {made}, a scenario, a build, a test, README.md; now:\n"
+        f"wrote {folder}: a control law in {title}, a scenario, a build, a test, README.md; now:\n"
         f"{build}  {command} run {folder}/{scenario.name} --mode inprocess"
     )

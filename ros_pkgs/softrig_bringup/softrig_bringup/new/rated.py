@@ -45,20 +45,20 @@ def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], co
         raise ScenarioError(f"--plant {kind}: unknown; there are {', '.join(sorted(points))}")
     if not name.isidentifier():
         raise ScenarioError(f"name {name!r}: expected letters, digits and _, as in my_drive")
-    if (there := find(name)) is not None:
-        raise ScenarioError(f"name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")
-    given: dict[str, float] = {}
+    if (existing := find(name)) is not None:
+        raise ScenarioError(f"name {name!r}: `run {name}` is a scenario already ({existing.name}); choose another")
+    numbers: dict[str, float] = {}
     for item in rated:
         key, result, value = item.partition("=")
         number = number_of(value.replace(",", "."))
         if _THOUSANDS.fullmatch(value.strip()):
-            one, other = value.replace(",", ""), value.replace(",", ".")
-            raise ScenarioError(f"--rated {item}: {value} may be {one} or {other}; write one of them")
+            english, german = value.replace(",", ""), value.replace(",", ".")
+            raise ScenarioError(f"--rated {item}: {value} may be {english} or {german}; write one of them")
         if not result or not math.isfinite(number):
             raise ScenarioError(f"--rated {item}: expected NAME=VALUE with a number, as speed=3000")
-        given[key.strip()] = number
+        numbers[key.strip()] = number
     try:
-        text, assumed = points[kind].load()(name, given)
+        text, assumed = points[kind].load()(name, numbers)
     except ValueError as error:
         raise ScenarioError(f"--rated: {error}") from None
     path = parent / f"{name}.yaml"

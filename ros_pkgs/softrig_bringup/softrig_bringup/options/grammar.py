@@ -80,11 +80,11 @@ def settings(texts: Iterable[str], scenario: str = "") -> dict[str, Any]:
 
 def values(name: str, text: str) -> list[Any]:
     """Read ``A,B,C``, ranges ``LOW:HIGH:STEP`` among them with both ends."""
-    given = read_yaml(f"[{text}]", f"{name}={text}")
-    assert isinstance(given, list)
+    items = read_yaml(f"[{text}]", f"{name}={text}")
+    assert isinstance(items, list)
     if re.fullmatch(rf"{NUMBER}(?:[\s;]+{NUMBER})+", text.strip()):
         raise ScenarioError(f"{name}={text}: expected A,B,C: {name}={','.join(re.split(r'[ ;]+', text.strip()))}")
-    return [value for one in given for value in (_steps(name, one) if isinstance(one, str) else [one])]
+    return [value for item in items for value in (_steps(name, item) if isinstance(item, str) else [item])]
 
 
 def _steps(name: str, text: str) -> list[Any]:

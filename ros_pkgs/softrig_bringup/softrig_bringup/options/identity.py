@@ -43,7 +43,7 @@ def identity(rig: Rig, seed: int, recording: Recording) -> str:
 
 def recorded_half(recording: Recording) -> str:
     """Compute the half of the identity that covers the recording: topics, times and bytes."""
-    whole = hashlib.sha256()
+    digest = hashlib.sha256()
     for name in sorted(name for name, topic in recording.topics.items() if topic.number):
         topic = recording.topics[name]
         content = hashlib.sha256()
@@ -51,8 +51,8 @@ def recorded_half(recording: Recording) -> str:
             content.update(times.astype("<i8").tobytes())
         for text in topic.texts():
             content.update(text)
-        whole.update(_line(name, topic.msgtype, topic.number) + content.digest())
-    return whole.hexdigest()[:HALF]
+        digest.update(_line(name, topic.msgtype, topic.number) + content.digest())
+    return digest.hexdigest()[:HALF]
 
 
 def bagged_half(bag: Path) -> str:
@@ -63,14 +63,14 @@ def bagged_half(bag: Path) -> str:
         for data in (False, True):
             for block in reader.blocks():
                 for topic in distinct(block.topic):
-                    part = block.select(block.topic == topic)
-                    counts[topic] += 0 if data else len(part)
-                    for content in part.texts() if data else (part.t.astype("<i8").tobytes(),):
+                    rows = block.select(block.topic == topic)
+                    counts[topic] += 0 if data else len(rows)
+                    for content in rows.texts() if data else (rows.t.astype("<i8").tobytes(),):
                         contents[topic].update(content)
-        whole = hashlib.sha256()
+        digest = hashlib.sha256()
         for name, topic in sorted((reader.labels[topic], topic) for topic in contents):
-            whole.update(_line(name, reader.topics[topic].msgtype, counts[topic]) + contents[topic].digest())
-    return whole.hexdigest()[:HALF]
+            digest.update(_line(name, reader.topics[topic].msgtype, counts[topic]) + contents[topic].digest())
+    return digest.hexdigest()[:HALF]
 
 
 def _line(name: str, msgtype: str, number: int) -> bytes:
@@ -97,7 +97,7 @@ def _plain(value: Any) -> Any:
     return Path(value).name if isinstance(value, str) and "/" in value and Path(value).suffix else value
 
 
-def strangers(content: Mapping[str, Any], bag: Mapping[str, str], there: str = "") -> list[str]:
+def strangers(content: Mapping[str, Any], bag: Mapping[str, str], recorded: str = "") -> list[str]:
     """Describe which parts belong to different runs; empty if none does or if an older version wrote the run.
 
     Parameters
@@ -106,15 +106,15 @@ def strangers(content: Mapping[str, Any], bag: Mapping[str, str], there: str = "
         Of metrics.json.
     bag : mapping
         The bag's own metadata.
-    there : str
+    recorded : str
         The half of the identity that the messages of the bag have, if it is known.
     """
     figures, bagged = str(content.get("run", "")), str(bag.get("run", ""))
     if figures and bagged and figures != bagged:
         return [f"metrics.json is of run {figures[:HALF]}, the bag of run {bagged[:HALF]}: they do not belong together"]
     stated = figures or bagged
-    if stated and there and there != stated[:HALF]:
-        return [f"the bag is not as it was written: its messages are {there}, of the run {stated[:HALF]}"]
+    if stated and recorded and recorded != stated[:HALF]:
+        return [f"the bag is not as it was written: its messages are {recorded}, of the run {stated[:HALF]}"]
     return []
 
 

@@ -189,7 +189,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
         raise ScenarioError(f"{run.path}: {rig.clock.name} was outside and set the ticks, so only it can repeat them")
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
     nodes |= tape(rig, run)
-    return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
+    return scenario.having(nodes=nodes, changes=[{"at": when, "set": values} for when, values in by_time.items()])
 
 
 def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
@@ -277,8 +277,8 @@ def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
         messages += len(a)
         k = next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
         if a != b:
-            at = min(rows[k][0] for rows in (a, b) if k < len(rows))
-            lines.append(f"{port.topic} from t = {at / SECOND:.9g} s")
+            first = min(rows[k][0] for rows in (a, b) if k < len(rows))
+            lines.append(f"{port.topic} from t = {first / SECOND:.9g} s")
     return lines, messages, topics
 
 
@@ -300,26 +300,26 @@ def digests(run: Run) -> dict[str, Digest]:
     return result
 
 
-def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+def first_version(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
     """Describe the first difference between two runs: the user's code, softrig's code, files, libraries."""
 
     def pairs(key: str, names: Iterable[str]) -> Iterable[tuple[str, Any, Any]]:
-        a, b = there.get(key, {}), here.get(key, {})
+        a, b = before.get(key, {}), after.get(key, {})
         return ((name, a[name], b.get(name, "none")) for name in names if name in a and a[name] != b.get(name, "none"))
 
-    own = sorted(there.get("code", ()), key=lambda name: (is_ours(name), name))
-    remaining = [name for name in there.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
-    for what, result in (
-        ("the code of ", pairs("code", own)),
-        ("the files of ", pairs("contents", there.get("contents", ()))),
+    code_names = sorted(before.get("code", ()), key=lambda name: (is_ours(name), name))
+    remaining = [name for name in before.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
+    for kind, result in (
+        ("the code of ", pairs("code", code_names)),
+        ("the files of ", pairs("contents", before.get("contents", ()))),
         ("", pairs("versions", [*DECIDE, *remaining])),
     ):
         for name, a, b in result:
-            commits = [str(w.get("versions", {}).get("commit", ""))[:LETTERS] for w in (there, here)]
-            of = f" (commit {commits[0]} there, {commits[1]} here)" if what == "the code of " and all(commits) else ""
-            shown = f"{a} there, {b} here" if what != "the files of " else "other hashes"
-            return f"the first version that differs is {what}{name}: {shown}{of}"
-    return "no version differs" if there.get("versions") else "its versions are not known"
+            commits = [str(w.get("versions", {}).get("commit", ""))[:LETTERS] for w in (before, after)]
+            note = f" (commit {commits[0]} there, {commits[1]} here)" if kind == "the code of " and all(commits) else ""
+            shown = f"{a} there, {b} here" if kind != "the files of " else "other hashes"
+            return f"the first version that differs is {kind}{name}: {shown}{note}"
+    return "no version differs" if before.get("versions") else "its versions are not known"
 
 
 def words(late: Mapping[str, Mapping[str, int]]) -> str:

@@ -10,14 +10,14 @@ from softrig_core.rig.installed import load_block
 from softrig_core.scenario.scenario import Draft
 
 
-def check_names(draft: Draft, given: Iterable[str]) -> None:
+def check_names(draft: Draft, names: Iterable[str]) -> None:
     """Refuse names of parameters whose node is missing or unknown, where nodes of the scenario have such a parameter.
 
     Parameters
     ----------
     draft : Draft
         The scenario.
-    given : iterable of str
+    names : iterable of str
         Names from options: ``node.parameter``, or a shared value.
 
     Raises
@@ -27,14 +27,14 @@ def check_names(draft: Draft, given: Iterable[str]) -> None:
     """
     nodes, shared = draft.raw.get("nodes") or {}, draft.raw.get("shared") or {}
     known = {*nodes, *shared, *(draft.raw.get("faults") or {})}
-    for name in given:
+    for name in names:
         node, _, parameter = name.replace("/", ".").partition(".")
         if (node in known and "/" not in name) or not isinstance(nodes, dict):
             continue
-        words = {parameter.casefold(), name.casefold()}
+        spellings = {parameter.casefold(), name.casefold()}
         every = ((owner, field) for owner in nodes for field in _parameters(nodes[owner]))
-        meant = sorted(f"{owner}.{field}" for owner, field in every if field.casefold() in words)
-        meant = [one for one in meant if one.startswith(f"{node}.")] or meant
+        meant = sorted(f"{owner}.{field}" for owner, field in every if field.casefold() in spellings)
+        meant = [candidate for candidate in meant if candidate.startswith(f"{node}.")] or meant
         if meant:
             raise ScenarioError(f"{name}: expected node.parameter; did you mean {' or '.join(meant)}?")
 

@@ -46,8 +46,8 @@ def elsewhere(path: Path | None) -> list[str]:
 
 def from_here(path: Path) -> str:
     """Return a path as it is from this folder; the whole path where it is not below."""
-    whole = path.absolute()
-    return str(whole.relative_to(Path.cwd()) if whole.is_relative_to(Path.cwd()) else whole)
+    absolute = path.absolute()
+    return str(absolute.relative_to(Path.cwd()) if absolute.is_relative_to(Path.cwd()) else absolute)
 
 
 def scenario_file(called: str) -> Path | None:

@@ -91,28 +91,28 @@ def params_of(
     full = {node: f"/{namespace.strip('/')}/{node}".replace("//", "/") for node in nodes}
     sections = read_sections(file)
     result: dict[str, Any] = {}
-    others = []
+    unmatched = []
     for pattern, values in sections.items():
         meant = [node for node in nodes if matches(pattern, full[node])]
-        own = {name: value for name, value in values.items() if name.partition(".")[0] not in OF_ROS}
+        params = {name: value for name, value in values.items() if name.partition(".")[0] not in OF_ROS}
         if not meant:
-            others.append(pattern)
-        for name, value in own.items():
+            unmatched.append(pattern)
+        for name, value in params.items():
             takers = [node for node in meant if "*" not in pattern or has(node, name)]
             if takers and type(value) is Unfit:
                 raise ScenarioError(value.reason)
             if meant and not takers:
                 raise ScenarioError(f"params file {file}: {pattern}: none of its nodes has a parameter {name!r}")
             result |= {f"{node}.{name}": value for node in takers}
-    if others and len(others) == len(sections):
-        near = next((text for name in others if (text := closest(name, full.values()))), "")
-        if any(name.rpartition("/")[2] in nodes for name in others):
+    if unmatched and len(unmatched) == len(sections):
+        near = next((text for name in unmatched if (text := closest(name, full.values()))), "")
+        if any(name.rpartition("/")[2] in nodes for name in unmatched):
             near = " (of another namespace: --namespace NS)"
         raise ScenarioError(
-            f"params file {file}: {', '.join(others)}: no such node{near}; the nodes are {', '.join(full.values())}"
+            f"params file {file}: {', '.join(unmatched)}: no such node{near}; the nodes are {', '.join(full.values())}"
         )
-    if others:
-        print_line(f"params file {file}: passed over what is of no node of this rig: {', '.join(others)}")
+    if unmatched:
+        print_line(f"params file {file}: passed over what is of no node of this rig: {', '.join(unmatched)}")
     return result
 
 
@@ -131,48 +131,48 @@ def read_sections(file: Path) -> dict[str, dict[str, Any]]:
     ScenarioError
         Not YAML, or something that rcl refuses.
     """
-    where = f"params file {file}"
+    source = f"params file {file}"
     try:
         text = file.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{where}: {getattr(error, 'strerror', None) or error}") from None
+        raise ScenarioError(f"{source}: {getattr(error, 'strerror', None) or error}") from None
     read_yaml(text, str(file), texts=True)  # bounds, keys that stand twice, what is no YAML
     for event in yaml.parse(text, yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
-            raise ScenarioError(f"{where}: it has an alias (*name), which rcl refuses; write the values out")
+            raise ScenarioError(f"{source}: it has an alias (*name), which rcl refuses; write the values out")
         if (tag := getattr(event, "tag", None)) is not None:
             line = event.start_mark.line + 1
-            raise ScenarioError(f"{where}, line {line}: it has the tag {tag}; write text in quotes, all else without")
+            raise ScenarioError(f"{source}, line {line}: it has the tag {tag}; write text in quotes, all else without")
     root = yaml.compose(text, yaml.SafeLoader)
     if not isinstance(root, yaml.MappingNode):
-        raise ScenarioError(f"{where}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
+        raise ScenarioError(f"{source}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
     result: dict[str, dict[str, Any]] = {}
-    for name, values in _nodes(root, "", where):
+    for name, values in _nodes(root, "", source):
         result.setdefault(name, {}).update(values)
     return result
 
 
-def _nodes(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _nodes(branch: yaml.MappingNode, above: str, source: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     over, lost = False, ""
     for key, value in branch.value:
         name, line = str(key.value), key.start_mark.line + 1
         if over:
             raise ScenarioError(
-                f"{where}, line {line}: rcl refuses {name!r} after ros__parameters; write it before that"
+                f"{source}, line {line}: rcl refuses {name!r} after ros__parameters; write it before that"
             )
         if lost:  # rcl 9.2 takes one part off its place at the end of a section, however many the key has
             raise ScenarioError(
-                f"{where}, line {line}: rcl misreads {name!r} after {lost!r}, a name of several parts inside another; "
+                f"{source}, line {line}: rcl misreads {name!r} after {lost!r}, a name of several parts inside another; "
                 "write both in full at the left margin"
             )
         if name == "ros__parameters":
             if not above or not isinstance(value, yaml.MappingNode):
-                raise ScenarioError(f"{where}, line {line}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
+                raise ScenarioError(f"{source}, line {line}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
             if above.endswith("/"):
                 raise ScenarioError(
-                    f"{where}, line {line}: {above!r} is no name of a node, expected no slash at its end"
+                    f"{source}, line {line}: {above!r} is no name of a node, expected no slash at its end"
                 )
-            yield above, dict(_values(value, "", where))
+            yield above, dict(_values(value, "", source))
             over = True
             continue
         path = name if name.startswith("/") and not above else f"{above.removesuffix('/')}/{name}"
@@ -181,39 +181,39 @@ def _nodes(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[s
         if isinstance(value, yaml.MappingNode) and not value.value:
             continue  # rcl looks at names with something below them
         if not all(map(_TOKEN.fullmatch, path.removesuffix("/").split("/")[1:])):
-            raise ScenarioError(f"{where}, line {line}: {path!r} is no name of a node or namespace")
+            raise ScenarioError(f"{source}, line {line}: {path!r} is no name of a node or namespace")
         if not isinstance(value, yaml.MappingNode):
-            raise ScenarioError(f"{where}, line {line}: {name}: expected ros__parameters: {{NAME: VALUE}}")
-        yield from _nodes(value, path, where)
+            raise ScenarioError(f"{source}, line {line}: {name}: expected ros__parameters: {{NAME: VALUE}}")
+        yield from _nodes(value, path, source)
 
 
-def _values(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[str, Any]]:
+def _values(branch: yaml.MappingNode, above: str, source: str) -> Iterator[tuple[str, Any]]:
     for key, value in branch.value:
         name = f"{above}{key.value}"
         if isinstance(value, yaml.MappingNode):
             if not value.value:
-                raise ScenarioError(f"{where}: {name} is an empty map; give a value, or leave the line out")
-            yield from _values(value, f"{name}.", where)
+                raise ScenarioError(f"{source}: {name} is an empty map; give a value, or leave the line out")
+            yield from _values(value, f"{name}.", source)
         elif isinstance(value, yaml.SequenceNode):
-            items = [_scalar(item, f"{where}: {name}") for item in value.value]
+            items = [_scalar(item, f"{source}: {name}") for item in value.value]
             if len({str if type(item) is Unfit else type(item) for item in items}) > 1:
-                raise ScenarioError(f"{where}: {name} is a list of several kinds, which rcl refuses")
+                raise ScenarioError(f"{source}: {name} is a list of several kinds, which rcl refuses")
             yield name, next((item for item in items if type(item) is Unfit), items)
         else:
-            yield name, _scalar(value, f"{where}: {name}")
+            yield name, _scalar(value, f"{source}: {name}")
 
 
-def _scalar(node: yaml.Node, where: str) -> bool | int | float | str | Unfit:
+def _scalar(node: yaml.Node, source: str) -> bool | int | float | str | Unfit:
     """Read a value as rcl does: quoted values are text, and C reads the numbers."""
     if not isinstance(node, yaml.ScalarNode):
-        raise ScenarioError(f"{where}: a list of lists or maps, which no parameter can be")
+        raise ScenarioError(f"{source}: a list of lists or maps, which no parameter can be")
     text = str(node.value)
     if node.style is not None and node.style != "":
         return text
     if not text:
-        raise ScenarioError(f"{where} has no value, which rcl refuses; give one, or leave the line out")
+        raise ScenarioError(f"{source} has no value, which rcl refuses; give one, or leave the line out")
     if text in _NULL:
-        return Unfit(f"{where} is null: a node refuses it; give a value, or leave the line out")
+        return Unfit(f"{source} is null: a node refuses it; give a value, or leave the line out")
     if text in _BOOL:
         return _BOOL[text]
     number = _number(text)

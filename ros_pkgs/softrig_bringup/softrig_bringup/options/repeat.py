@@ -41,9 +41,9 @@ def words(packages: Iterable[str], *verb: str) -> list[str]:
     *verb : str
         What follows.
     """
-    places = [place for place in dict.fromkeys(map(workspace, packages)) if place is not None]
-    own = ["--workspace", str(places[0].absolute())] if places else []
-    return [os.environ.get("SOFTRIG_COMMAND") or "softrig", *own, *verb]
+    folders = [folder for folder in dict.fromkeys(map(workspace, packages)) if folder is not None]
+    option = ["--workspace", str(folders[0].absolute())] if folders else []
+    return [os.environ.get("SOFTRIG_COMMAND") or "softrig", *option, *verb]
 
 
 def scenario_word(name: str) -> str:
@@ -72,15 +72,15 @@ def for_reader(command: str) -> str:
         parts = shlex.split(command)
     except ValueError:
         return command
-    kept = [os.path.basename(parts[0])] if parts else []
+    result = [os.path.basename(parts[0])] if parts else []
     left = iter(parts[1:])
     for word in left:
         if word in ("--workspace", "--out"):
             next(left, "")
             continue
         shipped = word.endswith(".yaml") and Path(word).parent.parts[-2:] == ("config", "scenarios")
-        kept.append(Path(word).stem if shipped else os.path.basename(word.rstrip("/")) if word[:1] == "/" else word)
-    return shlex.join(kept)
+        result.append(Path(word).stem if shipped else os.path.basename(word.rstrip("/")) if word[:1] == "/" else word)
+    return shlex.join(result)
 
 
 def joined(parts: Iterable[str]) -> str:

@@ -122,10 +122,10 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
 def _moment(text: str) -> tuple[Path, float]:
     """Read ``RUN@T``: the folder of a run or its bag, and a time in s."""
     run, _, t = text.rpartition("@")
-    at = number_of(t)
-    if not run or not 0.0 <= at <= 1e9:
+    start = number_of(t)
+    if not run or not 0.0 <= start <= 1e9:
         raise argparse.ArgumentTypeError(f"{text!r}: expected RUN@T, the folder of a run and a time from 0 to 1e9 s")
-    return Path(run), at
+    return Path(run), start
 
 
 def _mode(word: str) -> str:
@@ -159,13 +159,13 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
         return _repeated(options)
     if not options.scenario:
         raise ScenarioError("expected a scenario, --like RUN, or --from RUN@T")
-    given = {}
+    from_file = {}
     if options.params_file is not None:
         from .params_file import params_of
 
         nodes = load_scenario(options.scenario).nodes
-        given = params_of(options.params_file, nodes, options.namespace, lambda node, name: _has(nodes[node], name))
-    scenario = load_scenario(options.scenario, given | settings(options.set, options.scenario))
+        from_file = params_of(options.params_file, nodes, options.namespace, lambda node, name: _has(nodes[node], name))
+    scenario = load_scenario(options.scenario, from_file | settings(options.set, options.scenario))
     changes: dict[str, Any] = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
     if options.external:
         changes["nodes"] = scenario.nodes | {n: _external(scenario.nodes, n) for n in options.external}
@@ -199,32 +199,32 @@ def _repeated(options: argparse.Namespace) -> Scenario:
     from .grammar import settings
     from .like import recall, repeated
 
-    word, free = ("--like", ()) if options.origin is None else ("--from", ("set", "duration"))
+    origin, free = ("--like", ()) if options.origin is None else ("--from", ("set", "duration"))
     for name in ("scenario", "set", "params_file", "namespace", "duration", "seed", "external", "only"):
         if name not in free and getattr(options, name) not in ("", None, []):
-            other = name if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ScenarioError(f"{word} repeats a run as it was: expected no {other} beside it")
+            option = name if name == "scenario" else f"--{name.replace('_', '-')}"
+            raise ScenarioError(f"{origin} repeats a run as it was: expected no {option} beside it")
     parser = Again()
     if options.origin is None:
         options.recalled = recall(options.like, parser.parse_args)
         return repeated(scenario_of(options.recalled.options), options.recalled)
-    path, at = options.origin
-    if options.duration is not None and options.duration <= at:
+    path, start = options.origin
+    if options.duration is not None and options.duration <= start:
         raise ScenarioError(
-            f"--from {path}@{at:g} --duration {options.duration:g}: the run would end before the branch; expected a "
-            f"duration above {at:g} s"
+            f"--from {path}@{start:g} --duration {options.duration:g}: the run would end before the branch; expected a "
+            f"duration above {start:g} s"
         )
     run = options.recalled = recall(path, parser.parse_args)
-    scenario = continued(scenario_of(run.options), run, at, settings(options.set))
+    scenario = continued(scenario_of(run.options), run, start, settings(options.set))
     return scenario if options.duration is None else scenario.having(duration=options.duration)
 
 
 def begun(options: argparse.Namespace) -> dict[str, Any]:
     """Describe the run that a run of --from continues, and the command that made the first of them."""
-    path, at = options.origin
+    path, start = options.origin
     first = argparse.Namespace(**vars(options.recalled.options))
     first.duration = first.duration if options.duration is None else options.duration
-    return {"run": str(path), "at_s": at, "command": shlex.join(["run", *repeat(first)])}
+    return {"run": str(path), "at_s": start, "command": shlex.join(["run", *repeat(first)])}
 
 
 def placement_of(options: argparse.Namespace) -> Placement:

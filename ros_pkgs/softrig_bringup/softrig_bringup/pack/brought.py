@@ -48,9 +48,9 @@ def add_packages(digest: str, packages: Iterable[Package]) -> None:
         finally:
             rmtree(new, ignore_errors=True)
     library = str(prefix / "python")
-    for name, place in (("AMENT_PREFIX_PATH", str(prefix)), ("PYTHONPATH", library)):
-        there = [p for p in os.environ.get(name, "").split(os.pathsep) if p and p != place]
-        os.environ[name] = os.pathsep.join([*there, place])
+    for name, entry in (("AMENT_PREFIX_PATH", str(prefix)), ("PYTHONPATH", library)):
+        present = [p for p in os.environ.get(name, "").split(os.pathsep) if p and p != entry]
+        os.environ[name] = os.pathsep.join([*present, entry])
     if library not in sys.path:
         sys.path.append(library)
     invalidate_caches()
@@ -69,8 +69,8 @@ def _lay_out(package: Package, prefix: Path) -> None:
     )
     (about / "entry_points.txt").write_text("\n".join(groups))
     mark = prefix / "share/ament_index/resource_index/packages" / name
-    for place in (mark, prefix / "lib" / name / "x", prefix / "share" / name / "x"):
-        place.parent.mkdir(parents=True, exist_ok=True)
+    for path in (mark, prefix / "lib" / name / "x", prefix / "share" / name / "x"):
+        path.parent.mkdir(parents=True, exist_ok=True)
     mark.touch()
     for point, target in package.offers.get("console_scripts", {}).items():
         module, _, function = target.partition(":")
@@ -79,7 +79,7 @@ def _lay_out(package: Package, prefix: Path) -> None:
         script.write_text(_EXECUTABLE.format(python=sys.executable, module=module, first=first, function=function))
         script.chmod(0o755)
     for relative, file in package.share.items():
-        place = prefix / relative
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.unlink(missing_ok=True)
-        place.symlink_to(file)
+        path = prefix / relative
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        path.symlink_to(file)

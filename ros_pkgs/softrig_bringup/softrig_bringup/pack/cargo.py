@@ -75,7 +75,7 @@ class Package:
     def __str__(self) -> str:
         lines = sum(file.read_bytes().count(b"\n") for file in self.files.values() if file.suffix == ".py")
         digest = hashlib.sha256("".join(f"{k}\0{digest_of(v)}\n" for k, v in self.files.items()).encode()).hexdigest()
-        machine = [true_name(place) for place, file in self.files.items() if file.suffix in _MACHINE]
+        machine = [true_name(target) for target, file in self.files.items() if file.suffix in _MACHINE]
         code = f", machine code {', '.join(machine)}" if machine else ""
         return (
             f"package {self.name} {self.version}: {len(self.files)} files, {lines} lines of Python{code}, "
@@ -145,7 +145,7 @@ def cargo_of(folder: Path, about: About) -> Cargo:
             continue
         check_name(name)
         packages.append(_read(folder / PACKAGES / name, about))
-    files = [f for place in (SCENARIO, PACKAGES) for f in sorted((folder / place).rglob("*")) if f.is_file()]
+    files = [f for part in (SCENARIO, PACKAGES) for f in sorted((folder / part).rglob("*")) if f.is_file()]
     brought = {p.folder for p in packages}
     units = [
         Unit(f, str(f.relative_to(folder)), result)
@@ -236,8 +236,8 @@ def check_name(name: str) -> None:
 def _wanted() -> frozenset[str]:
     """List the modules that softrig imports anywhere, also those that are not installed here."""
     results = {*EXTRAS, *(name.partition("/")[0] for name in TYPES), "builtin_interfaces", "rosidl_runtime_py"}
-    for place in sys.path:
-        for folder in Path(place).glob(f"{OURS}*") if place else ():
+    for entry in sys.path:
+        for folder in Path(entry).glob(f"{OURS}*") if entry else ():
             for file in folder.rglob("*.py"):
                 results.update(*_IMPORT.findall(file.read_text(encoding="utf-8")))
     return frozenset(results)
@@ -277,8 +277,8 @@ def check_scenario(folder: Path, scenario: Scenario, about: About) -> None:
                     )
         for value in _texts(entry.parameters):
             path = Path(value) if len(value) < 4096 and "\0" not in value else None
-            there = path is not None and (os.path.isfile(path) or (path.is_absolute() and os.path.exists(path)))
-            if there and path is not None and not path.resolve().is_relative_to(folder.resolve()):
+            exists = path is not None and (os.path.isfile(path) or (path.is_absolute() and os.path.exists(path)))
+            if exists and path is not None and not path.resolve().is_relative_to(folder.resolve()):
                 raise ScenarioError(
                     f"node {node} names {value[:200]!r}, a file outside of the pack; expected one in it"
                 )
@@ -290,8 +290,8 @@ def _check_flag(folder: Path, node: str, flag: str) -> None:
     A list of what is harmless, for compilers have many others: ``@FILE``, ``-include FILE``, ``-fplugin=``, ``-B``,
     ``-specs=``, ``-wrapper``, ``-Wl,``, ``-L``, ``-o``.
     """
-    inside = flag[:2] == "-I" and flag[2:] and (folder / SCENARIO / flag[2:]).resolve().is_relative_to(folder.resolve())
-    if not inside and not _FLAG.fullmatch(flag):
+    within = flag[:2] == "-I" and flag[2:] and (folder / SCENARIO / flag[2:]).resolve().is_relative_to(folder.resolve())
+    if not within and not _FLAG.fullmatch(flag):
         raise ScenarioError(
             f"node {node}: flag {flag[:200]!r} may read or start what is not in the pack; expected -D, -U, -O, -std=, "
             "-I of a folder in it, and -f, -W, -m and -l without a file"
@@ -316,7 +316,7 @@ def _read(folder: Path, about: About) -> Package:
     """Read a package as data."""
     name = folder.name
     files = {str(f.relative_to(folder)): f for f in sorted(folder.rglob("*")) if f.is_file()}
-    if not any(place.startswith(f"{name}/") and place.endswith(".py") for place in files):
+    if not any(target.startswith(f"{name}/") and target.endswith(".py") for target in files):
         raise ScenarioError(f"{PACKAGES}/{name}: no Python in {name}/{name}, expected the package's modules there")
     # Compiled files may hold other code than the sources that a person has read.
     compiled = next((k for k, f in files.items() if f.suffix in _COMPILED or "__pycache__" in f.parts), None)
@@ -325,8 +325,8 @@ def _read(folder: Path, about: About) -> Package:
             f"{PACKAGES}/{name}/{true_name(compiled)}: expected sources alone, as `softrig pack` writes"
         )
     config = _setup(folder)
-    if (own := config.get("metadata", "name", fallback=name)) != name:
-        raise ScenarioError(f"{PACKAGES}/{name}/setup.cfg: name = {own!r}, expected {name}, as its folder is called")
+    if (stated := config.get("metadata", "name", fallback=name)) != name:
+        raise ScenarioError(f"{PACKAGES}/{name}/setup.cfg: name = {stated!r}, expected {name}, as its folder is called")
     offers = about.offers.get(name)
     if offers is None:
         offers = {group: dict(_points(config.get("options.entry_points", group, fallback=""))) for group in GROUPS}
@@ -377,16 +377,16 @@ def _check_offers(name: str, offers: Mapping[str, Mapping[str, str]]) -> None:
 
 def _share(name: str, files: Mapping[str, Path], config: configparser.ConfigParser) -> Iterator[tuple[str, Path]]:
     """Yield the data files by their places below the prefix: only those of the package itself."""
-    for place, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
-        parts = place.strip().split("/")
-        if place == "share/ament_index/resource_index/packages":
+    for target, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
+        parts = target.strip().split("/")
+        if target == "share/ament_index/resource_index/packages":
             continue
         if parts[:2] != ["share", name] or ".." in parts or "." in parts or "" in parts:
             raise ScenarioError(
-                f"{PACKAGES}/{name}/setup.cfg: data files for {place[:200]!r}; expected them in share/{name}"
+                f"{PACKAGES}/{name}/setup.cfg: data files for {target[:200]!r}; expected them in share/{name}"
             )
         for pattern in filter(None, map(str.strip, patterns.replace("\n", ",").split(","))):
             for relative, file in files.items():
                 same = os.path.dirname(relative) == os.path.dirname(pattern)
                 if same and fnmatchcase(os.path.basename(relative), os.path.basename(pattern)):
-                    yield f"{place}/{file.name}", file
+                    yield f"{target}/{file.name}", file

@@ -44,16 +44,16 @@ def crate(
     publication : Publication
         Authors, publisher, date and licence.
     """
-    parts: list[dict[str, Any]] = [
+    entries: list[dict[str, Any]] = [
         {
-            "@id": place,
+            "@id": path,
             "@type": "File",
-            "name": place.rpartition("/")[2],
+            "name": path.rpartition("/")[2],
             "contentSize": str(len(content) if isinstance(content, bytes) else content.stat().st_size),
-            "encodingFormat": _KINDS.get(Path(place).suffix, "application/octet-stream"),
-            "sha256": sums[place],
+            "encodingFormat": _KINDS.get(Path(path).suffix, "application/octet-stream"),
+            "sha256": sums[path],
         }
-        for place, content in files.items()
+        for path, content in files.items()
     ]
     allowed = publication.license or {
         "@id": "#license",
@@ -70,7 +70,7 @@ def crate(
         "description": about,
         "datePublished": publication.day,
         "license": {"@id": allowed["@id"]},
-        "hasPart": [{"@id": part["@id"]} for part in parts],
+        "hasPart": [{"@id": entry["@id"]} for entry in entries],
         "mentions": {"@id": "#made"},
     }
     if authors:
@@ -84,8 +84,8 @@ def crate(
         "version": versions.get("softrig_core", ""),
         "description": "Software test rigs for drives, power converters and robots as ROS 2 nodes",
     }
-    made_of = [{"@id": part["@id"]} for part in parts if part["@id"].startswith("scenario/")]
-    made = {
+    made_of = [{"@id": entry["@id"]} for entry in entries if entry["@id"].startswith("scenario/")]
+    action = {
         "@id": "#made",
         "@type": "CreateAction",
         "name": f"simulation of {name}",
@@ -99,7 +99,7 @@ def crate(
         "about": {"@id": "./"},
         "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"},
     }
-    graph = [head, root, tool, made, allowed, *people, *parts]
+    graph = [head, root, tool, action, allowed, *people, *entries]
     return json.dumps({"@context": "https://w3id.org/ro/crate/1.1/context", "@graph": graph}, indent=1).encode() + b"\n"
 
 

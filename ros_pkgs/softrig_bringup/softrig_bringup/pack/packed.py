@@ -128,8 +128,8 @@ def about(folder: Path) -> About:
         raise ScenarioError(f"no {ABOUT} in it: expected a file that `softrig pack` has written") from None
     except ValidationError as error:
         first = error.errors()[0]
-        place = "".join(f"{key}: " for key in [".".join(map(str, first["loc"]))[:200]] if key)
-        raise ScenarioError(f"{ABOUT}: {place}{first['msg'].lower()}") from None
+        location = "".join(f"{key}: " for key in [".".join(map(str, first["loc"]))[:200]] if key)
+        raise ScenarioError(f"{ABOUT}: {location}{first['msg'].lower()}") from None
 
 
 def digest_of(path: Path) -> str:
@@ -164,8 +164,8 @@ def opened(path: Path) -> Path:
         raise ScenarioError(f"{path}: {error}") from None
     # The scenario may cite papers that only the folders of its maker have, so its own folder is searched too.
     known = os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep)
-    if (mine := str(folder / SCENARIO)) not in known:
-        os.environ["SOFTRIG_SCENARIOS"] = os.pathsep.join(filter(None, (*known, mine)))
+    if (scenarios := str(folder / SCENARIO)) not in known:
+        os.environ["SOFTRIG_SCENARIOS"] = os.pathsep.join(filter(None, (*known, scenarios)))
     return folder
 
 
@@ -220,24 +220,24 @@ def _check_list(path: Path) -> None:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _END.size - 0xFFFF))
         tail = file.read()
-    at = tail.rfind(b"PK\x05\x06")
-    if at >= 0 and len(tail) - at >= _END.size and (listed := _END.unpack_from(tail, at)[5]) > FILES * HEAD:
+    start = tail.rfind(b"PK\x05\x06")
+    if start >= 0 and len(tail) - start >= _END.size and (listed := _END.unpack_from(tail, start)[5]) > FILES * HEAD:
         raise ScenarioError(f"its list of files is {listed} bytes long, expected at most {FILES * HEAD}")
 
 
-def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, place: Path) -> str:
+def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> str:
     """Write one file; return its SHA-256."""
-    place.parent.mkdir(parents=True, exist_ok=True)
+    target.parent.mkdir(parents=True, exist_ok=True)
     digest = hashlib.sha256()
     # zipfile reads what the entry declares and no more, so the sum of sizes that was checked holds.
-    with archive.open(entry) as packed, place.open("xb") as file:
+    with archive.open(entry) as packed, target.open("xb") as file:
         while block := packed.read(1 << 20):
             digest.update(block)
             file.write(block)
     return digest.hexdigest()
 
 
-def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
+def _check(entry: zipfile.ZipInfo, earlier: Iterable[str]) -> None:
     """Refuse entries that are not plain files at distinct places below the folder."""
     name, kind = entry.filename, stat.S_IFMT(entry.external_attr >> 16)
     parts = name.split("/")
@@ -245,7 +245,7 @@ def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
     short = len(name.encode()) <= _LONGEST and max(len(part.encode()) for part in parts) <= 255
     plain = short and _NAME.fullmatch(name) and "." not in parts and ".." not in parts and kind in (0, stat.S_IFREG)
     # zipfile cuts a name at a null byte; then the name that was checked is not the one in the file.
-    if not plain or name in seen or entry.orig_filename != name:
+    if not plain or name in earlier or entry.orig_filename != name:
         raise ScenarioError(
             f"{name[:100]!r}: expected plain files below {SCENARIO}, {PACKAGES}, {BAG}, {STUDY}, each once"
         )
@@ -260,15 +260,15 @@ def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
 def _check_content(folder: Path, files: dict[str, str]) -> None:
     """Refuse an unpacked file whose files, packages, scenario or bag do not match its description."""
     stated = about(folder)
-    if stated.files and stated.files != (there := {k: v for k, v in files.items() if k != ABOUT}):
-        other = sorted(k for k in {*stated.files, *there} if stated.files.get(k) != there.get(k))
-        raise ScenarioError(f"{other[0]!r} is not the file that {ABOUT} lists; expected the files as they were packed")
+    if stated.files and stated.files != (have := {k: v for k, v in files.items() if k != ABOUT}):
+        wrong = sorted(k for k in {*stated.files, *have} if stated.files.get(k) != have.get(k))
+        raise ScenarioError(f"{wrong[0]!r} is not the file that {ABOUT} lists; expected the files as they were packed")
     if f"{SCENARIO}/{stated.scenario}.yaml" not in files:
         raise ScenarioError(f"no {SCENARIO}/{stated.scenario}.yaml in it, the scenario that {ABOUT} names")
-    for name in sorted({place.split("/")[1] for place in files if place.startswith(f"{PACKAGES}/")}):
+    for name in sorted({path.split("/")[1] for path in files if path.startswith(f"{PACKAGES}/")}):
         if name not in stated.packages:
             raise ScenarioError(f"{PACKAGES}/{name[:100]}: {ABOUT} names no such package; expected the ones it names")
-    if any(place.startswith(f"{BAG}/") for place in files):
+    if any(path.startswith(f"{BAG}/") for path in files):
         try:
             with BagReader(folder / BAG):
                 pass
@@ -276,7 +276,7 @@ def _check_content(folder: Path, files: dict[str, str]) -> None:
             raise ScenarioError(str(error).replace(f"{folder}/", "")) from None
 
 
-def need_packages(where: object, packages: Iterable[str]) -> None:
+def need_packages(source: object, packages: Iterable[str]) -> None:
     """Name the packages that a run needs and that are not here.
 
     Raises
@@ -287,11 +287,11 @@ def need_packages(where: object, packages: Iterable[str]) -> None:
     names = list(packages)
     typed = [name for name in names if not name.isidentifier()]
     if typed:
-        raise ScenarioError(f"{where}: {', '.join(typed)} was typed, not imported: only a package can be repeated")
+        raise ScenarioError(f"{source}: {', '.join(typed)} was typed, not imported: only a package can be repeated")
     missing = [name for name in names if find_spec(name) is None]
     if missing:
-        what = "package" if len(missing) == 1 else "packages"
+        noun = "package" if len(missing) == 1 else "packages"
         raise ScenarioError(
-            f"{where}: it needs {what} {', '.join(missing)}, not installed here; `softrig pack RUN`, "
+            f"{source}: it needs {noun} {', '.join(missing)}, not installed here; `softrig pack RUN`, "
             "where they are, puts the run and them into one file"
         )

@@ -87,8 +87,8 @@ def _results(options: argparse.Namespace) -> Path:
         assert source is not None
         name = re.sub(r"[^A-Za-z0-9_.=+-]+", "_", source.name.partition(".")[0])[:100]
         first = Path("runs", f"{name}-again").absolute()
-        places = (first if n == 1 else first.with_name(f"{first.name}-{n}") for n in range(1, 10_000))
-        out = next(place for place in places if not place.exists())
+        candidates = (first if n == 1 else first.with_name(f"{first.name}-{n}") for n in range(1, 10_000))
+        out = next(path for path in candidates if not path.exists())
     if out.exists() and not out.is_dir():
         raise ScenarioError(f"--out {out} is a file, expected a folder for the results")
     out.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ def _results(options: argparse.Namespace) -> Path:
 
 def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
     """Describe the rights of the sandbox."""
-    here = os.getcwd()
+    cwd = os.getcwd()
     hidden = [folder for folder in dict.fromkeys([*_HIDDEN, os.path.expanduser("~")]) if folder != "/"]
     yield from ("--die-with-parent", "--unshare-all", "--cap-drop", "ALL", "--ro-bind", "/", "/")
     yield from ("--dev", "/dev", "--proc", "/proc", "--ro-bind-try", "/dev/null", "/dev/tty")
@@ -108,7 +108,7 @@ def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
     assert source is not None
     for path in _read(source.absolute(), hidden):
         yield from ("--ro-bind", path, path)
-    yield from ("--dir", here, "--bind", str(out), str(out), "--chdir", here)
+    yield from ("--dir", cwd, "--bind", str(out), str(out), "--chdir", cwd)
     # Compiled code is executed, so a pack gets a cache of its own, which no run outside of a sandbox uses.
     cache = cache_folder() / "packs" / f"{digest_of(source)[:32]}-cache"
     cache.mkdir(parents=True, exist_ok=True)
@@ -123,11 +123,11 @@ def _read(source: Path, hidden: Iterable[str]) -> list[str]:
     """List the readable files in hidden folders: Python, imports, scenarios, the pack and its signature."""
     command_folder = os.path.dirname(os.path.dirname(os.environ.get("SOFTRIG_COMMAND", "")))
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    places = [sys.prefix, sys.base_prefix, *sys.path, command_folder, *prefixes, str(source), f"{source}.sig"]
+    paths = [sys.prefix, sys.base_prefix, *sys.path, command_folder, *prefixes, str(source), f"{source}.sig"]
     # The cache of packs is left out, because a pack is unpacked again inside, into its own cache.
-    places += [str(folder) for folder in scenario_folders() if not folder.is_relative_to(cache_folder() / "packs")]
-    seen = sorted({p for p in places if p and os.path.exists(p)} | {os.path.realpath(p) for p in places if p})
-    below = [p for p in seen if os.path.exists(p) and any(p.startswith(f"{h}/") for h in hidden)]
+    paths += [str(folder) for folder in scenario_folders() if not folder.is_relative_to(cache_folder() / "packs")]
+    readable = sorted({p for p in paths if p and os.path.exists(p)} | {os.path.realpath(p) for p in paths if p})
+    below = [p for p in readable if os.path.exists(p) and any(p.startswith(f"{h}/") for h in hidden)]
     return [p for p in below if not any(p.startswith(f"{q}/") for q in below)]
 
 

@@ -30,9 +30,9 @@ def sign(path: Path, key: Path) -> Path:
         There is no ssh-keygen here, or it refuses the key.
     """
     signature_path(path).unlink(missing_ok=True)
-    made = _keygen(["sign", "-f", str(key), "-n", NAMESPACE, str(path)])
-    if made.returncode or not signature_path(path).is_file():
-        raise ScenarioError(f"--sign {key}: {_last(made.stderr) or 'ssh-keygen wrote no signature'}")
+    done = _keygen(["sign", "-f", str(key), "-n", NAMESPACE, str(path)])
+    if done.returncode or not signature_path(path).is_file():
+        raise ScenarioError(f"--sign {key}: {_last(done.stderr) or 'ssh-keygen wrote no signature'}")
     return signature_path(path)
 
 

@@ -43,20 +43,20 @@ def admitted(options: argparse.Namespace) -> int | None:
     folder = opened(path)
     try:
         cargo = cargo_of(folder, about(folder))
-        who = signed_by(path)
+        signer = signed_by(path)
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
     for name in cargo.kept_out:
         print_line(f"{path}: package {name} is installed here; that one runs, not the one in the pack")
     if not cargo:
-        if who != "unsigned":
-            print_line(f"{path}: no code in it, {who}")
+        if signer != "unsigned":
+            print_line(f"{path}: no code in it, {signer}")
         return None
     if cargo.units:
         # The package is fetched now, because a sandbox has no network.
         need("fmpy", f"the FMU {cargo.units[0].name}")
     if not sandbox.inside():
-        _confirm(path, cargo, who, options.trust)
+        _confirm(path, cargo, signer, options.trust)
         if (command := sandbox.command(options)) is not None:
             return sandbox.run(command)
     if cargo.units or cargo.natives:
@@ -65,9 +65,9 @@ def admitted(options: argparse.Namespace) -> int | None:
     return None
 
 
-def _confirm(path: Path, cargo: Cargo, who: str, trusted: bool) -> None:
+def _confirm(path: Path, cargo: Cargo, signer: str, trusted: bool) -> None:
     """List the code that would run, and ask the user to confirm it."""
-    print_line(f"{path} (sha256 {digest_of(path)[:LETTERS]}, {who}) has code that would run here:")
+    print_line(f"{path} (sha256 {digest_of(path)[:LETTERS]}, {signer}) has code that would run here:")
     for line in cargo:
         print_line(f"  {line}")
     if cargo.units and (why := forbidden()):

@@ -24,8 +24,8 @@ def checked(suites: Sequence[Suite], outcomes: Sequence[Mapping[str, Any]], agai
     asked = f"judged by {against}" if against else "judged by what each scenario expects"
     rows = []
     for k, (suite, outcome) in enumerate(zip(suites, outcomes, strict=True)):
-        held = f"{len(suite.cases) - len(suite.failures)} of {len(suite.cases)} hold"
-        verdict = mark(not suite.error and not suite.failures, outcome["kind"] or held)
+        holding = f"{len(suite.cases) - len(suite.failures)} of {len(suite.cases)} hold"
+        verdict = mark(not suite.error and not suite.failures, outcome["kind"] or holding)
         missed = suite.error or ", ".join(case.name for case in suite.failures) or NONE
         name = e("a", suite.name, href=f"#scenario-{k}") if suite.cases else suite.name
         rows.append((name, verdict, missed, *([", ".join(outcome["differs"]) or NONE] if against else [])))

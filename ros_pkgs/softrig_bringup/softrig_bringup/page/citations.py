@@ -109,16 +109,16 @@ def _plain(text: str) -> str:
 def _place(fields: dict[str, str]) -> str:
     """Return where a paper appeared: journal 2(6), 582–587, or the publisher."""
     volume = fields.get("volume", "") + (f"({fields['number']})" if "number" in fields else "")
-    where = fields.get("journal", fields.get("booktitle", fields.get("publisher", "")))
-    return _plain(", ".join(filter(None, (" ".join(filter(None, (where, volume))), fields.get("pages", "")))))
+    container = fields.get("journal", fields.get("booktitle", fields.get("publisher", "")))
+    return _plain(", ".join(filter(None, (" ".join(filter(None, (container, volume))), fields.get("pages", "")))))
 
 
 def sources(citations: Sequence[Citation]) -> Iterator[Element]:
     """Print papers for a page: each with its DOI, and its BibTeX entry to copy."""
     for c in citations:
         doi = e("a", f"doi:{c.doi}", href=f"https://doi.org/{c.doi}") if c.doi else "No DOI known"
-        where = ", ".join(filter(None, (c.place, c.year)))
-        yield e("p", f"{', '.join(c.authors)}: ", e("cite", c.title), f". {where}. ", doi, ".")
+        place = ", ".join(filter(None, (c.place, c.year)))
+        yield e("p", f"{', '.join(c.authors)}: ", e("cite", c.title), f". {place}. ", doi, ".")
         yield e("details", e("summary", "BibTeX"), e("pre", c.bibtex))
 
 

@@ -63,19 +63,19 @@ def draw_diagram(wiring: Wiring) -> Element:
         for n in column:
             boxes[n] = Box(k - 1, x, y, wide, heights[n])
             y += heights[n] + ROW
-        words = max((len(w.topic) for n in column for w in outs[n]), default=0)
-        x += wide + (words * LETTER + STEM if words else 0.0)
+        longest = max((len(w.topic) for n in column for w in outs[n]), default=0)
+        x += wide + (longest * LETTER + STEM if longest else 0.0)
         channels.append(x + STEM)
-        x += LANE * len(lanes[k]) + 2 * STEM if lanes[k] or words else 0.0
+        x += LANE * len(lanes[k]) + 2 * STEM if lanes[k] or longest else 0.0
     below = {w.topic: tall + ROW + LANE * i for i, w in enumerate(w for w in wiring.wires[::-1] if _far(w, home))}
     height = tall + (ROW + LANE * len(below) if below else 0) + 2
     route = _Routes(boxes, channels, lanes, below, ins, outs)
-    parts = [*(_wire(w, route) for w in wiring.wires), *(_box(n, wiring, boxes[n]) for n in wiring.nodes)]
+    elements = [*(_wire(w, route) for w in wiring.wires), *(_box(n, wiring, boxes[n]) for n in wiring.nodes)]
     size = f"width: 100%; max-width: {x:.0f}px; min-width: {SMALLEST * x:.0f}px"
     return e(
         "svg",
         e("title", "Block diagram of the rig"),
-        *parts,
+        *elements,
         viewBox=f"-1 -1 {x + 2:.0f} {height + 2:.0f}",
         role="img",
         class_="diagram",
@@ -90,8 +90,8 @@ def _far(wire: Wire, home: Mapping[str, int]) -> list[int]:
 
 def _lanes(wires: Sequence[Wire], home: Mapping[str, int], column: int) -> list[str]:
     """Return the lanes of the channel after a column: first those of its own wires, then those that lead to tracks."""
-    own = [f"{w.topic} out" for w in wires if home[w.source] == column and w.readers]
-    return own[::-1] + [f"{w.topic} in" for w in wires if column + 1 in _far(w, home)]
+    outgoing = [f"{w.topic} out" for w in wires if home[w.source] == column and w.readers]
+    return outgoing[::-1] + [f"{w.topic} in" for w in wires if column + 1 in _far(w, home)]
 
 
 def _width(wiring: Wiring, node: str) -> float:
@@ -127,19 +127,19 @@ def _wire(wire: Wire, route: _Routes) -> Element:
     """Draw one topic: stub with its name, lane, branches, track."""
     x0, y0 = route.start(wire)
     column = route.boxes[wire.source].column
-    to = ", ".join(wire.readers) or "nobody"
-    parts: list[Element] = [e("title", f"{wire.topic} ({wire.type}): {wire.source} to {to}")]
+    listed = ", ".join(wire.readers) or "nobody"
+    elements: list[Element] = [e("title", f"{wire.topic} ({wire.type}): {wire.source} to {listed}")]
     name = e("text", wire.topic, x=f"{x0 + 5:g}", y=f"{y0 - 4:g}")
     if not wire.readers:
         end = x0 + 10 + LETTER * len(wire.topic)
-        parts += [_path([(x0, y0), (end, y0)]), e("circle", cx=f"{end + 3:g}", cy=f"{y0:g}", r="3", class_="open")]
-        return e("g", *parts, name, class_="wire", **{"data-topic": wire.topic})
+        elements += [_path([(x0, y0), (end, y0)]), e("circle", cx=f"{end + 3:g}", cy=f"{y0:g}", r="3", class_="open")]
+        return e("g", *elements, name, class_="wire", **{"data-topic": wire.topic})
     lane = route.lane(column, f"{wire.topic} out")
-    parts.append(_path([(x0, y0), (lane, y0)]))
+    elements.append(_path([(x0, y0), (lane, y0)]))
     near = [route.end(wire, r) for r in wire.readers if route.boxes[r].column == column + 1]
     levels = [y0, *(y for _, y in near)]
     for x, y in near:
-        parts += _arrow(lane, x, y)
+        elements += _arrow(lane, x, y)
     far: dict[int, list[str]] = {}
     for r in wire.readers:
         if route.boxes[r].column != column + 1:
@@ -148,14 +148,14 @@ def _wire(wire: Wire, route: _Routes) -> Element:
         track = route.below[wire.topic]
         levels.append(track)
         entries = {k: route.lane(k - 1, f"{wire.topic} in") for k in far}
-        parts += _line([(x, track) for x in (lane, *entries.values())])
+        elements += _line([(x, track) for x in (lane, *entries.values())])
         for k, readers in far.items():
             ends = [route.end(wire, r) for r in readers]
-            parts += _line([(entries[k], y) for y in (track, *(y for _, y in ends))])
+            elements += _line([(entries[k], y) for y in (track, *(y for _, y in ends))])
             for x, y in ends:
-                parts += _arrow(entries[k], x, y)
-    parts += _line([(lane, y) for y in levels])
-    return e("g", *parts, name, class_="wire", **{"data-topic": wire.topic})
+                elements += _arrow(entries[k], x, y)
+    elements += _line([(lane, y) for y in levels])
+    return e("g", *elements, name, class_="wire", **{"data-topic": wire.topic})
 
 
 def _line(points: Sequence[tuple[float, float]]) -> Iterator[Element]:

@@ -28,8 +28,8 @@ def page(title: str, body: Sequence[Element]) -> str:
         e("title", f"{title} · softrig"),
         e("style", _STYLE),
     )
-    whole = e("html", head, e("body", e("main", *body)), lang="en")
-    return "<!DOCTYPE html>\n" + tostring(whole, "unicode", "html")
+    root = e("html", head, e("body", e("main", *body)), lang="en")
+    return "<!DOCTYPE html>\n" + tostring(root, "unicode", "html")
 
 
 def e(tag: str, *content: Element | str, **attributes: str) -> Element:
@@ -78,7 +78,7 @@ def picture(content: bytes | str, title: str) -> Element:
     png = content if isinstance(content, bytes) else content.encode()
     if png.startswith(b"<svg"):
         drawn = fromstring(png.replace(b' xmlns="http://www.w3.org/2000/svg"', b"", 1))
-        drawn[:] = [part for part in drawn if part.tag != "style"]  # the page has its own
+        drawn[:] = [element for element in drawn if element.tag != "style"]  # the page has its own
         return drawn
     width, height = struct.unpack(">II", png[16:24])
     source = f"data:image/png;base64,{base64.b64encode(png).decode()}"

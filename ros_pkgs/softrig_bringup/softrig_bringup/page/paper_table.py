@@ -78,7 +78,7 @@ def latex(head: str, rows: Sequence[str], columns: Sequence[Column]) -> str:
     """Write a table for LaTeX, which needs its package booktabs."""
     heads = [_escaped(head), *(_escaped(_title(c)) for c in columns)]
     cells = [c.cells() for c in columns]
-    lines = [" & ".join([_escaped(name), *(_number(*own[k]) for own in cells)]) + r" \\" for k, name in enumerate(rows)]
+    lines = [" & ".join([_escaped(name), *(_number(*col[k]) for col in cells)]) + r" \\" for k, name in enumerate(rows)]
     parts = [f"\\begin{{tabular}}{{l{'r' * len(columns)}}}", r"\toprule", " & ".join(heads) + r" \\", r"\midrule"]
     return "\n".join([*parts, *lines, r"\bottomrule", r"\end{tabular}", ""])
 
@@ -89,7 +89,7 @@ def table_csv(head: str, rows: Sequence[str], columns: Sequence[Column]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     having = [(c, c.cells(), bool(c.halves)) for c in columns]
     title = [[_title(c), *([f"± {_title(c)}"] if sure else [])] for c, _, sure in having]
-    writer.writerow([head, *(cell for own in title for cell in own)])
+    writer.writerow([head, *(cell for cells_of in title for cell in cells_of)])
     for k, name in enumerate(rows):
         writer.writerow([name, *(cell for _, cells, sure in having for cell in cells[k][: 1 + sure])])
     return text.getvalue()

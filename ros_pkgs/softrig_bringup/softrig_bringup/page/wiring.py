@@ -99,9 +99,9 @@ def columns(wiring: Wiring) -> list[list[str]]:
     last = max(acting.values(), default=-1)
     looking = [n for n in wiring.nodes if n not in acting]
     watched = {n: [m for m in before[n] if m in looking] for n in looking}
-    seen = _longest(watched, {n for n in looking if not watched[n]})
-    place = {n: last - acting[n] if n in acting else last + 1 + seen[n] for n in wiring.nodes}
-    results = [[n for n in wiring.nodes if place[n] == k] for k in range(max(place.values(), default=-1) + 1)]
+    watching = _longest(watched, {n for n in looking if not watched[n]})
+    column_of = {n: last - acting[n] if n in acting else last + 1 + watching[n] for n in wiring.nodes}
+    results = [[n for n in wiring.nodes if column_of[n] == k] for k in range(max(column_of.values(), default=-1) + 1)]
     read = {n: [m for m in wiring.nodes if n in after[m]] for n in wiring.nodes}
     return _ordered(results, {n: [*after[n], *read[n]] for n in wiring.nodes})
 
@@ -123,7 +123,7 @@ def _ordered(texts: list[list[str]], neighbours: Mapping[str, list[str]]) -> lis
     """Sort each column by the mean place of the neighbours in other columns."""
     for sweep in range(SWEEPS):
         for column in texts if sweep else texts[::-1]:
-            place = {n: (k + 0.5) / len(c) for c in texts for k, n in enumerate(c)}
-            apart = {n: [place[m] for m in neighbours[n] if m not in column] for n in column}
-            column.sort(key=lambda n: sum(apart[n]) / len(apart[n]) if apart[n] else place[n])
+            position = {n: (k + 0.5) / len(c) for c in texts for k, n in enumerate(c)}
+            apart = {n: [position[m] for m in neighbours[n] if m not in column] for n in column}
+            column.sort(key=lambda n: sum(apart[n]) / len(apart[n]) if apart[n] else position[n])
     return texts

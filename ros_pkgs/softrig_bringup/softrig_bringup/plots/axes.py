@@ -36,11 +36,11 @@ def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
         From seconds to the unit of the time axis.
     """
     ink = [inked(c.y) if c.ink is None else c.ink for c in curves]
-    for curve, style, own in zip(curves, styles(curves), ink, strict=True):
+    for curve, style, amount in zip(curves, styles(curves), ink, strict=True):
         x, y = _drawn(curve, scale)
         steps = curve.ink is None and len(y) == len(curve.y) and (curve.held or _quantised(y))
         marker = "o" if len(x) == 1 else ""
-        order = 2.0 + sum(other > own for other in ink) / len(ink)
+        order = 2.0 + sum(a > amount for a in ink) / len(ink)
         ax.plot(
             x,
             y,
@@ -65,12 +65,12 @@ def _drawn(curve: Curve, scale: float) -> tuple[Array, Array]:
 
 def draw_logic(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
     """Draw switches one above the other, as a logic analyser does."""
-    places = [1.4 * i for i in range(len(curves))][::-1]
-    for curve, place, style in zip(curves, places, styles(curves), strict=True):
+    levels = [1.4 * i for i in range(len(curves))][::-1]
+    for curve, level, style in zip(curves, levels, styles(curves), strict=True):
         x, y = _drawn(curve, scale)
         steps = curve.ink is None and len(y) == len(curve.y)
-        ax.plot(x, y + place, drawstyle="steps-post" if steps else "default", **style)
-    ax.set_yticks([place + 0.5 for place in places], [curve.label for curve in curves])
+        ax.plot(x, y + level, drawstyle="steps-post" if steps else "default", **style)
+    ax.set_yticks([level + 0.5 for level in levels], [curve.label for curve in curves])
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")
 
@@ -104,14 +104,14 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
         if start > end:
             continue
         span = (start, end) if start < end else (start - 0.01 * (x1 - x0), end + 0.01 * (x1 - x0))
-        inside = [v for v in (mark.low, mark.high, mark.published) if _near(v, y0, y1)]
-        wanted += inside
-        limits = [b for b in (mark.low, mark.high) if b in inside]
+        visible = [v for v in (mark.low, mark.high, mark.published) if _near(v, y0, y1)]
+        wanted += visible
+        limits = [b for b in (mark.low, mark.high) if b in visible]
         if len(limits) == 2 and mark.low < mark.high:
             drawn["accepted"] = ax.fill_between(span, mark.low, mark.high, **_BAND)
         elif limits:
             (drawn["limit"],) = ax.plot(span, limits[:1] * 2, **_LIMIT)
-        if mark.published in inside:
+        if mark.published in visible:
             (drawn["published"],) = ax.plot(span, [mark.published] * 2, **_PUBLISHED)
     ax.set_xlim(x0, x1)
     if wanted:
@@ -127,11 +127,11 @@ def _near(value: float, low: float, high: float) -> bool:
 
 
 def _instant(ax: Axes, mark: Mark, scale: float, shown: tuple[float, float], drawn: dict[str, Artist]) -> None:
-    inside = [scale * b for b in (mark.low, mark.high) if math.isfinite(b) and shown[0] <= scale * b <= shown[1]]
-    if len(inside) == 2 and mark.low < mark.high:
-        drawn["accepted"] = ax.axvspan(*inside, **_BAND)
-    elif inside:
-        drawn["limit"] = ax.axvline(inside[0], **_LIMIT)
+    visible = [scale * b for b in (mark.low, mark.high) if math.isfinite(b) and shown[0] <= scale * b <= shown[1]]
+    if len(visible) == 2 and mark.low < mark.high:
+        drawn["accepted"] = ax.axvspan(*visible, **_BAND)
+    elif visible:
+        drawn["limit"] = ax.axvline(visible[0], **_LIMIT)
     if math.isfinite(mark.published) and shown[0] <= scale * mark.published <= shown[1]:
         drawn["published"] = ax.axvline(scale * mark.published, **_PUBLISHED)
 
@@ -139,17 +139,17 @@ def _instant(ax: Axes, mark: Mark, scale: float, shown: tuple[float, float], dra
 def _names(ax: Axes, marks: Sequence[Mark], scale: float) -> None:
     """Write the names of a few instants along their lines; those that nearly coincide share a line of text."""
     low, high = ax.get_xlim()
-    places: dict[float, str] = {}
+    labels: dict[float, str] = {}
     for mark in marks:
         passing = next((v for v in ((mark.low + mark.high) / 2, mark.high, mark.low) if math.isfinite(v)), math.nan)
         for x in (scale * mark.published, scale * passing):
             if low <= x <= high:
-                same = next((at for at in places if abs(at - x) < 0.02 * (high - low)), x)
-                names = [*filter(None, places.get(same, "").split(", ")), mark.name.replace("_", " ")]
-                places[same] = ", ".join(dict.fromkeys(names))
-    if len(places) > NAMED:
+                same = next((position for position in labels if abs(position - x) < 0.02 * (high - low)), x)
+                names = [*filter(None, labels.get(same, "").split(", ")), mark.name.replace("_", " ")]
+                labels[same] = ", ".join(dict.fromkeys(names))
+    if len(labels) > NAMED:
         return
-    for x, name in places.items():
+    for x, name in labels.items():
         text = ax.annotate(
             name,
             (x, 0.04),
@@ -186,11 +186,11 @@ def styles(curves: Sequence[Curve]) -> list[dict[str, Any]]:
     if len(curves) > look.MANY:
         return [{"color": shade, "linewidth": 0.8} for shade in shades("cividis", np.linspace(0.0, 0.95, len(curves)))]
     dashes = iter(look.DASHED * len(curves))
-    own = iter([{"color": c, "linestyle": line} for line in ("-", look.DASHED[0]) for c in look.COLOURS])
+    lines = iter([{"color": c, "linestyle": line} for line in ("-", look.DASHED[0]) for c in look.COLOURS])
     if all(curve.reference for curve in curves):
-        return [next(own) | {"linestyle": next(dashes)} for _ in curves]
+        return [next(lines) | {"linestyle": next(dashes)} for _ in curves]
     dark = {"color": look.REFERENCE, "linewidth": 1.0, "zorder": 3.0}
-    return [dark | {"linestyle": next(dashes)} if curve.reference else next(own) for curve in curves]
+    return [dark | {"linestyle": next(dashes)} if curve.reference else next(lines) for curve in curves]
 
 
 def legend(
@@ -199,7 +199,7 @@ def legend(
     title: str,
     width: int,
     marks: Sequence[tuple[Artist, str]] = (),
-    what: str = "signals",
+    noun: str = "signals",
 ) -> None:
     """Place the legend above the axes, where it covers no data.
 
@@ -211,11 +211,11 @@ def legend(
         Of the axes, in letters.
     marks : sequence of (Artist, str)
         From `draw_marks`.
-    what : str
+    noun : str
         What the curves are, where there are too many to be named.
     """
     if len(curves) > look.MANY:
-        text = f"{len(curves)} {what}, dark to light from first to last"
+        text = f"{len(curves)} {noun}, dark to light from first to last"
         ax.set_title(f"{title}: {text}" if title else text, loc="left", fontsize=9)
         return
     lines = [(line, c.label) for line, c in zip(ax.lines, curves, strict=False) if np.isfinite(line.get_ydata()).any()]

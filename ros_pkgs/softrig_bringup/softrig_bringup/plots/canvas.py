@@ -220,10 +220,10 @@ class Axes:
         clip_on: bool = True,
     ) -> list[Line]:
         """Draw a line or marks."""
-        given = {
+        options = {
             "label": label, "color": color, "linewidth": linewidth, "alpha": alpha, "transform": transform
         }  # fmt: skip
-        more: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        more: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
         if form == "-":
             more["linestyle"] = linestyle
         if color is None:
@@ -323,11 +323,11 @@ class Axes:
     ) -> Words:
         """Write a text at a point, some points of type beside it."""
         up = xycoords == ("data", "axes fraction") or xycoords == Across("x")
-        words = Words(
+        label = Words(
             "", zorder, color, 1.0, text, *xy, xytext, up, xycoords == Across("y"), rotation, ha, va, fontsize,
             bbox is not None,
         )  # fmt: skip
-        self.items.append(words)
+        self.items.append(label)
         how: dict[str, Any] = {"bbox": bbox} if bbox else {}
         how |= {"rotation": rotation, "zorder": zorder} if rotation or zorder != 3.0 else {}
         how |= {
@@ -338,8 +338,8 @@ class Axes:
             "fontsize": fontsize,
             "color": color,
         }
-        self._called("annotate", words, text, xy, xytext, **how)
-        return words
+        self._called("annotate", label, text, xy, xytext, **how)
+        return label
 
     def scatter(self, x: Array, y: Array, *, c: Array, s: float, cmap: str, vmin: float, vmax: float) -> Cells:
         """Draw dots whose colours are values."""
@@ -433,8 +433,8 @@ class Axes:
             share = both if both is not None else share
             if share is not None:
                 axis.margin = share
-        given = {name: share for name, share in (("x", x), ("y", y)) if share is not None}
-        self._called("margins", None, *([both] if both is not None else []), **given)
+        shares = {name: share for name, share in (("x", x), ("y", y)) if share is not None}
+        self._called("margins", None, *([both] if both is not None else []), **shares)
 
     def set_xlabel(self, text: str, *, fontsize: float | None = None) -> None:
         """Set the title of the x axis."""
@@ -502,8 +502,8 @@ class Axes:
             self.numbered = labelbottom
         if length is not None:
             self.dashes = length > 0.0
-        given = {"labelsize": labelsize, "labelbottom": labelbottom, "length": length}
-        how: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        options = {"labelsize": labelsize, "labelbottom": labelbottom, "length": length}
+        how: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
         self._called("tick_params", None, axis=axis, **how)
 
     def grid(self, visible: bool = True, axis: Literal["both", "x", "y"] = "both") -> None:
@@ -621,9 +621,9 @@ class Figure:
             result.append(Axes(self, grid[k, 0], result[0] if result else None))
             result[-1].numbered = k == rows - 1
         self.axes += result
-        made = np.empty((rows, 1), object)
-        made[:, 0] = result
-        self.calls.append(Call(self, "subplots", (rows, 1), {"sharex": True, "squeeze": False}, made))
+        array = np.empty((rows, 1), object)
+        array[:, 0] = result
+        self.calls.append(Call(self, "subplots", (rows, 1), {"sharex": True, "squeeze": False}, array))
         return result
 
     def subplots(self) -> Axes:
@@ -677,12 +677,12 @@ def _colours(values: Array, scale: str, low: float, high: float) -> list[str]:
     return shades(scale, (values - low) / ((high - low) or 1.0))
 
 
-def _edges(places: Array) -> Array:
+def _edges(centres: Array) -> Array:
     """Return the borders of cells about places, in the middle between neighbours."""
-    if len(places) < 2:
-        return np.array([places[0] - 0.5, places[0] + 0.5])
-    middle = (places[1:] + places[:-1]) / 2
-    return np.concatenate([[2 * places[0] - middle[0]], middle, [2 * places[-1] - middle[-1]]])
+    if len(centres) < 2:
+        return np.array([centres[0] - 0.5, centres[0] + 0.5])
+    middle = (centres[1:] + centres[:-1]) / 2
+    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
 
 def _box(values: Array, row: float, size: float) -> Iterator[Line]:
@@ -698,8 +698,8 @@ def _box(values: Array, row: float, size: float) -> Iterator[Line]:
     corners = [low, high, high, low, low], [row - half, row - half, row + half, row + half, row - half]
     for x, y in (corners, ([first, low], [row, row]), ([high, last], [row, row])):
         yield Line(x=np.array(x), y=np.array(y), **thin)
-    for at in (first, last):
-        yield Line(x=np.array([at, at]), y=np.array([row - half / 2, row + half / 2]), **thin)
+    for edge in (first, last):
+        yield Line(x=np.array([edge, edge]), y=np.array([row - half / 2, row + half / 2]), **thin)
     yield Line(x=np.array([middle, middle]), y=np.array([row - half, row + half]), color=COLOURS[1], linewidth=1.0)
     beyond = values[(values < low - reach) | (values > high + reach)]
     if beyond.size:

@@ -64,11 +64,11 @@ def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[floa
     """
     shared = rig.scenario.shared  # as formulas name signals
     names = [str(shared.get(name, name)) for name in names]
-    own = (PlotEntry(title=title, signals=dict.fromkeys(names, "")),) if names else rig.scenario.plots
-    if not own:
+    entries = (PlotEntry(title=title, signals=dict.fromkeys(names, "")),) if names else rig.scenario.plots
+    if not entries:
         known = ", ".join(signal_units(rig))
         raise ScenarioError(f"{rig.scenario.name} has no plots of its own; which signals? It has {known}")
-    rig = rig.with_plots(tuple(p.model_copy(update={"window": tuple(window)}) if window else p for p in own))
+    rig = rig.with_plots(tuple(p.model_copy(update={"window": tuple(window)}) if window else p for p in entries))
     check_plots(rig)
     return rig
 
@@ -87,7 +87,7 @@ def check_plots(rig: Rig) -> None:
             names = list(entry.signals)
             names += [f"{topic_of(name, rig.topics)}/{entry.x}" for name in names if name in known]
         else:
-            names = [part for name in entry.signals for part in name.split(" - ", 1)]
+            names = [signal for name in entry.signals for signal in name.split(" - ", 1)]
         wrong = next((name for name in names if name not in known), None)
         if wrong is not None:
             raise ScenarioError(
@@ -171,17 +171,17 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
         end = np.searchsorted(x, last) - 1 if first < last < x[-1] else np.searchsorted(x, last, "right") - 1
         ends = y[np.array([np.searchsorted(x, first, "right") - 1, end])]
     else:
-        ends = np.array([_between(x, y, at) for at in edges])
+        ends = np.array([_between(x, y, t) for t in edges])
     return replace(
         curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]), y=np.concatenate([ends[:1], y[chosen], ends[1:]])
     )
 
 
-def _between(x: Array, y: Array, at: float) -> float:
+def _between(x: Array, y: Array, t: float) -> float:
     """Return the value at an instant, linear between the samples around it."""
-    k = int(np.searchsorted(x, at))
+    k = int(np.searchsorted(x, t))
     around = slice(max(k - 1, 0), k + 1)
-    return float(np.interp(at, np.asarray(x[around]), np.asarray(y[around])))
+    return float(np.interp(t, np.asarray(x[around]), np.asarray(y[around])))
 
 
 class Source:

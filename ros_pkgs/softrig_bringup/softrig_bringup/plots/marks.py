@@ -51,10 +51,10 @@ class Mark:
         """Return whether anything is expected."""
         return not math.isnan(self.low)
 
-    def at(self, place: Callable[[float], float], axis: Literal["value", "time"]) -> Mark:
+    def at(self, convert: Callable[[float], float], axis: Literal["value", "time"]) -> Mark:
         """Return the mark with its figures converted to positions in the picture."""
-        low, high = sorted((place(self.low), place(self.high)))
-        return replace(self, axis=axis, low=low, high=high, published=place(self.published))
+        low, high = sorted((convert(self.low), convert(self.high)))
+        return replace(self, axis=axis, low=low, high=high, published=convert(self.published))
 
 
 def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
@@ -139,16 +139,16 @@ def _extreme(mark: Mark, signals: SignalMap, arguments: Mapping[str, Any], zero:
     """Place an extreme, or a peak on either side of `zero`: a bound over all times, a value where it is reached."""
     t, x = measures.window(signals, arguments["signal"], arguments.get("start"), arguments.get("end"))
     if not math.isnan(zero):
-        at = int(np.argmax(np.abs(x - zero)))
-        side = 1.0 if x[at] >= zero else -1.0
+        index = int(np.argmax(np.abs(x - zero)))
+        side = 1.0 if x[index] >= zero else -1.0
         mark = mark.at(lambda v: zero + side * v, "value")
     else:
         middle = (mark.low + mark.high) / 2 if mark.judged else mark.published
-        at = int(np.argmin(np.abs(x - middle))) if math.isfinite(middle) else 0
+        index = int(np.argmin(np.abs(x - middle))) if math.isfinite(middle) else 0
     if math.isinf(mark.low) or math.isinf(mark.high):
         return mark
     reach = BESIDE * float(t[-1] - t[0])
-    return replace(mark, start=max(mark.start, t[at] - reach), end=min(mark.end, t[at] + reach))
+    return replace(mark, start=max(mark.start, t[index] - reach), end=min(mark.end, t[index] + reach))
 
 
 def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:

@@ -101,9 +101,9 @@ def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
 
 
 def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, Drawn], width: int) -> Figure:
-    there = [n for n in entry.signals if curves[n]]
-    names = [n for n in there if not about[n].reference] or there
-    references = [n for n in there if n not in names]
+    available = [n for n in entry.signals if curves[n]]
+    names = [n for n in available if not about[n].reference] or available
+    references = [n for n in available if n not in names]
     figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(names)), dpi=look.DPI)
     axes = figure.column(len(names))
     scale, time = time_scale([[c for _, c in result] for result in curves.values()])
@@ -113,7 +113,7 @@ def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, D
         lines = [r for n in same if (r := _common([c for _, c in curves[n]], entry.signals[n]))]
         drawn = _overlaid(ax, curves[name], lines, scale)
         if [c.label for c in drawn] != messages:  # once, if it is the same below
-            legend(ax, drawn, "", width, what="runs")
+            legend(ax, drawn, "", width, noun="runs")
             messages = [c.label for c in drawn]
         label = entry.signals[name] or name
         unit = about[name].unit
@@ -152,14 +152,14 @@ def _overlaid(ax: Axes, drawn: Drawn, references: Sequence[Curve], scale: float)
         groups.setdefault(run.group, []).append(curve)
     bands: dict[str, tuple[Array, Array, Array]] = {}
     curves: list[Curve] = []
-    for group, mine in groups.items():
-        if len(mine) < LEAST:
-            curves += mine
+    for group, members in groups.items():
+        if len(members) < LEAST:
+            curves += members
             continue
-        t, low, middle, high = band(mine)
-        label = f"{group}: median of {len(mine)} seeds, {BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
+        t, low, middle, high = band(members)
+        label = f"{group}: median of {len(members)} seeds, {BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
         bands[label] = t, low, high
-        curves.append(Curve(label, mine[0].unit, t, middle, mine[0].held))
+        curves.append(Curve(label, members[0].unit, t, middle, members[0].held))
     curves += references
     draw(ax, curves, scale)
     for line, curve in zip(ax.lines, curves, strict=True):

@@ -65,8 +65,8 @@ def letters(font: float | None, inches: float | None) -> int:
 
 def fitted(drawn: Figure, title: str, font: float | None, inches: float | None, serif: bool) -> Printed:
     """Draw a picture by matplotlib, with a width, a size and kind of letters, and a title."""
-    own = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
-    figure = printed(drawn, own | (look.SERIF if serif else {}))
+    sizes = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
+    figure = printed(drawn, sizes | (look.SERIF if serif else {}))
     if inches:
         wide, high = figure.get_size_inches()
         figure.set_size_inches(inches, high * max(inches / wide, 0.7))
@@ -123,8 +123,8 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
     paths = []
     outside = {p.topic for m in rig.members if m.external for p in m.outputs} & set(source.silent)
     for number, entry in enumerate(rig.scenario.plots[:most], 1):
-        parts = [part for name in entry.signals for part in name.split(" - ", 1)]
-        if outside and all(source.topic(part) in outside for part in parts):
+        drawn = [signal for name in entry.signals for signal in name.split(" - ", 1)]
+        if outside and all(source.topic(signal) in outside for signal in drawn):
             continue
         figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks)
         paths.append(directory / plot_name(number, entry.title))
@@ -188,9 +188,9 @@ def _limit_time(ax: Axes, entry: PlotEntry, scale: float) -> None:
         ax.set_xlim(entry.window[0] * scale, entry.window[1] * scale)
 
 
-def _value_title(row: Sequence[Curve], unit: str, given: str = "") -> str:
+def _value_title(row: Sequence[Curve], unit: str, title: str = "") -> str:
     """Return a value axis's title: that of the entry, else the quantity of the unit, else the only curve's label."""
-    name = given or quantity(unit) or (row[0].label if len(row) == 1 else "") or ("Value" if unit else "")
+    name = title or quantity(unit) or (row[0].label if len(row) == 1 else "") or ("Value" if unit else "")
     return axis_title(name, unit)
 
 
@@ -226,11 +226,11 @@ def _overview(source: Source) -> Figure:
     figure = Figure(figsize=(look.WIDTH, 0.9 + 1.55 * rows), dpi=look.DPI, line=1.0)
     scale, time = time_scale([row for _, _, row in panels])
     axes: list[Axes] = []
-    for place, (topic, unit, row) in zip(places(figure, len(panels), columns), panels, strict=True):
-        ax = figure.add_subplot(place, sharex=axes[0] if axes else None)
+    for cell, (topic, unit, row) in zip(places(figure, len(panels), columns), panels, strict=True):
+        ax = figure.add_subplot(cell, sharex=axes[0] if axes else None)
         axes.append(ax)
         ax.tick_params(labelsize=8, labelbottom=False)
-        if place.rowspan.stop == rows:
+        if cell.rowspan.stop == rows:
             ax.tick_params(labelbottom=True)
             ax.set_xlabel(axis_title("Time", time), fontsize=9)
         if is_logic(row):

@@ -26,8 +26,8 @@ def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
     from matplotlib.figure import Figure as New
 
     with rc_context(look.style() | {"lines.linewidth": figure.line} | dict(own or {})):
-        made = New(figsize=figure.size, dpi=figure.dpi, layout="constrained")
-        known: dict[int, Any] = {id(figure): made}
+        paper = New(figsize=figure.size, dpi=figure.dpi, layout="constrained")
+        known: dict[int, Any] = {id(figure): paper}
         for call in figure.calls:
             target = known[id(call.target)]
             if call.name == "whole_numbers":
@@ -42,7 +42,7 @@ def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
                 known |= {id(own): there for own, there in zip(np.ravel(call.result), np.ravel(result), strict=True)}
             elif call.result is not None:
                 known[id(call.result)] = result
-    return made
+    return paper
 
 
 def _there(value: Any, known: Mapping[int, Any], target: Any = None) -> Any:

@@ -33,7 +33,7 @@ def shades(scale: str, shares: Sequence[float] | Array) -> list[str]:
         As ``#rrggbb``; empty for NaN.
     """
     known = np.array([[int(c[k : k + 2], 16) for k in (0, 2, 4)] for c in _SCALES[scale].split()], float)
-    at = np.clip(np.asarray(shares, float), 0.0, 1.0)
+    positions = np.clip(np.asarray(shares, float), 0.0, 1.0)
     steps = np.linspace(0.0, 1.0, len(known))
-    parts = np.stack([np.interp(at, steps, known[:, k]) for k in range(3)], axis=-1).round()
-    return ["" if np.isnan(part).any() else "#{:02x}{:02x}{:02x}".format(*part.astype(int)) for part in parts]
+    colours = np.stack([np.interp(positions, steps, known[:, k]) for k in range(3)], axis=-1).round()
+    return ["" if np.isnan(colour).any() else "#{:02x}{:02x}{:02x}".format(*colour.astype(int)) for colour in colours]

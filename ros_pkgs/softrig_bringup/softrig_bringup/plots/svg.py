@@ -81,7 +81,7 @@ def described(figure: Figure) -> Iterator[str]:
         over = axes.titles["x"] or next((a.titles["x"] for a in figure.axes if a.x is axes.x and a.titles["x"]), "")
         head = axes.heads.get("left", ("",))[0] or (axes.named[1] if axes.named else "")
         low, high = axes.x.extent()
-        title = ": ".join(part for part in (head, axes.titles["y"]) if part) or "Values"
+        title = ": ".join(text for text in (head, axes.titles["y"]) if text) or "Values"
         parts = []
         labelled = any(line.label for line in axes.lines)  # then those without are marks, which the legend names
         for line in axes.lines:
@@ -130,19 +130,19 @@ class _Writer:
 
     # room -------------------------------------------------------------------------------------------------------
 
-    def _layout(self, whole: Box) -> list[tuple[Axes, Box, tuple[Scale, Scale]]]:
+    def _layout(self, area: Box) -> list[tuple[Axes, Box, tuple[Scale, Scale]]]:
         """Place axes so that all of a row have their edges in line, and all of a column."""
         axes = self.figure.axes
         if not axes:
             return []
         grid = axes[0].place.grid
         rows, columns = grid.rows, grid.columns
-        boxes = {id(a): Box(0.0, 0.0, whole.width / columns - 70.0, whole.height / rows - 60.0) for a in axes}
-        seen = {id(a): (a.x.limits(), a.y.limits()) for a in axes if a.equal}
+        boxes = {id(a): Box(0.0, 0.0, area.width / columns - 70.0, area.height / rows - 60.0) for a in axes}
+        limits = {id(a): (a.x.limits(), a.y.limits()) for a in axes if a.equal}
         for _ in range(3):  # numbers need room by the ticks, of which there are as many as there is room for
             for a in axes:
                 if a.equal:
-                    _equalise(a, boxes[id(a)], *seen[id(a)])
+                    _equalise(a, boxes[id(a)], *limits[id(a)])
             scales = {id(a): (self._scale(a, "x", boxes[id(a)].width), self._scale(a, "y", boxes[id(a)].height))
                       for a in axes}  # fmt: skip
             above, below, before, behind = [0.0] * rows, [0.0] * rows, [0.0] * columns, [0.0] * columns
@@ -152,10 +152,10 @@ class _Writer:
                 above[row], below[row] = max(above[row], need[0]), max(below[row], need[1])
                 before[first], behind[last] = max(before[first], need[2]), max(behind[last], need[3])
             self._before = before
-            high = (whole.height - sum(above) - sum(below)) / rows
-            wide = (whole.width - sum(before) - sum(behind)) / columns
-            lefts = [whole.left + sum(before[: k + 1]) + sum(behind[:k]) + k * wide for k in range(columns)]
-            tops = [whole.top + sum(above[: k + 1]) + sum(below[:k]) + k * high for k in range(rows)]
+            high = (area.height - sum(above) - sum(below)) / rows
+            wide = (area.width - sum(before) - sum(behind)) / columns
+            lefts = [area.left + sum(before[: k + 1]) + sum(behind[:k]) + k * wide for k in range(columns)]
+            tops = [area.top + sum(above[: k + 1]) + sum(below[:k]) + k * high for k in range(rows)]
             for a in axes:
                 first, last = a.place.colspan.start, a.place.colspan.stop - 1
                 boxes[id(a)] = Box(lefts[first], tops[a.place.rowspan.start], lefts[last] + wide - lefts[first],
@@ -192,17 +192,17 @@ class _Writer:
         """Choose ticks for a length in pixels, or format the given ticks."""
         axis: Axis = axes.x if name == "x" else axes.y
         low, high = axis.limits()
-        given = axes.ticks[name]
-        if given is not None:
-            inside = [k for k, t in enumerate(given[0]) if low <= t <= high]
-            at = [given[0][k] for k in inside]
-            if given[1] is not None:
-                return Scale(at, [given[1][k] for k in inside], 0)
+        fixed = axes.ticks[name]
+        if fixed is not None:
+            visible = [k for k, t in enumerate(fixed[0]) if low <= t <= high]
+            ticks = [fixed[0][k] for k in visible]
+            if fixed[1] is not None:
+                return Scale(ticks, [fixed[1][k] for k in visible], 0)
         else:
             size = axes.tick_sizes[name] * self.point * (3.0 if name == "x" else 2.0)
-            at = round_ticks(low, high, min(9, max(1, int(length / size))), whole=axes.whole and name == "x")
-        power = power_of(at)
-        return Scale(at, texts(at, power, (low, high)), power)
+            ticks = round_ticks(low, high, min(9, max(1, int(length / size))), integers=axes.whole and name == "x")
+        power = power_of(ticks)
+        return Scale(ticks, texts(ticks, power, (low, high)), power)
 
     # drawing ----------------------------------------------------------------------------------------------------
 
@@ -226,19 +226,19 @@ class _Writer:
         yield f'<path d="{frame}" fill="none" stroke="{FRAME}" stroke-width="{_n(0.8 * self.point)}"/>'
         yield from self._over(axes, box, to_x, to_y)
         size = axes.tick_sizes["y"]
-        for at, name in zip(y.at, y.names, strict=True):
+        for value, name in zip(y.at, y.names, strict=True):
             yield self._text(
-                name, box.left - 6.0 * self.point, to_y(at) + 0.36 * size * self.point, size, NUMBERS, "end"
+                name, box.left - 6.0 * self.point, to_y(value) + 0.36 * size * self.point, size, NUMBERS, "end"
             )
         below = bottom
         if axes.numbered:
             size = axes.tick_sizes["x"]
-            for at, name in zip(x.at, x.names, strict=True):
-                yield self._text(name, to_x(at), bottom + (5.0 + 0.95 * size) * self.point, size, NUMBERS, "middle")
+            for value, name in zip(x.at, x.names, strict=True):
+                yield self._text(name, to_x(value), bottom + (5.0 + 0.95 * size) * self.point, size, NUMBERS, "middle")
             below += (5.0 + 1.25 * size * max((n.count("\n") + 1 for n in x.names), default=1)) * self.point
         if title := with_power(axes.titles["x"], x.power, False):
-            place = below + axes.sizes["x"] * self.point
-            yield self._text(title, box.left + box.width / 2, place, axes.sizes["x"], INK, "middle")
+            y_title = below + axes.sizes["x"] * self.point
+            yield self._text(title, box.left + box.width / 2, y_title, axes.sizes["x"], INK, "middle")
         if title := with_power(axes.titles["y"], y.power, axes.unit_alone):
             left = box.left - self._before[axes.place.colspan.start] + 1.2 * axes.sizes["y"] * self.point
             yield self._text(title, left, box.top + box.height / 2, axes.sizes["y"], INK, "middle", turned=True)
@@ -296,14 +296,14 @@ class _Writer:
             elif isinstance(item, Area):
                 drawn.append(self._area(item, to_x, to_y, high))
             elif isinstance(item, Rule):
-                at = to_x(item.at) if item.axis == "x" else to_y(item.at)
-                form = f"M{_n(at)} 0V{_n(high)}" if item.axis == "x" else f"M0 {_n(at)}H{_n(wide)}"
+                position = to_x(item.at) if item.axis == "x" else to_y(item.at)
+                form = f"M{_n(position)} 0V{_n(high)}" if item.axis == "x" else f"M0 {_n(position)}H{_n(wide)}"
                 drawn.append(self._stroke(item, form, FINE * self.point))
             elif isinstance(item, Cells):
                 drawn += self._cells(item, to_x, to_y)
         if drawn:
-            place = " ".join(f'{k}="{_n(v)}"' for k, v in zip(("x", "y", "width", "height"), box, strict=True))
-            yield (f'<svg {place} viewBox="0 0 {_n(wide)} {_n(high)}" preserveAspectRatio="none">'
+            box_attributes = " ".join(f'{k}="{_n(v)}"' for k, v in zip(("x", "y", "width", "height"), box, strict=True))
+            yield (f'<svg {box_attributes} viewBox="0 0 {_n(wide)} {_n(high)}" preserveAspectRatio="none">'
                    f'{"".join(drawn)}</svg>')  # fmt: skip
 
     def _over(self, axes: Axes, box: Box, to_x: Any, to_y: Any) -> Iterator[str]:
@@ -417,19 +417,17 @@ class _Writer:
         for k, colour in enumerate(shades(name, np.linspace(1.0, 0.0, 64))):
             yield (f'<rect x="{_n(box.left)}" y="{_n(box.top + k * step)}" width="{_n(box.width)}" '
                    f'height="{_n(step + 0.5)}" fill="{colour}"/>')  # fmt: skip
-        at = round_ticks(low, high, min(9, max(1, int(box.height / (20.0 * self.point)))))
-        power = power_of(at)
+        ticks = round_ticks(low, high, min(9, max(1, int(box.height / (20.0 * self.point)))))
+        power = power_of(ticks)
         to_y, right = _place((low, high), box.top + box.height, -box.height), box.left + box.width
-        names = texts(at, power, (low, high))
-        for t, text in zip(at, names, strict=True):
+        names = texts(ticks, power, (low, high))
+        for t, text in zip(ticks, names, strict=True):
             y = to_y(t)
             yield f'<path d="M{_n(right)} {_n(y)}h{_n(3.5 * self.point)}" stroke="{FRAME}" fill="none"/>'
             yield self._text(text, right + 6.0 * self.point, y + 3.6 * self.point, 10.0, NUMBERS)
         reach = max((width_of(text, 10.0) for text in names), default=0.0)
-        place = min(right + (18.0 + reach) * self.point, self.wide - 3.0 * self.point)
-        yield self._text(
-            with_power(label, power, False), place, box.top + box.height / 2, 10.0, INK, "middle", turned=True
-        )
+        x = min(right + (18.0 + reach) * self.point, self.wide - 3.0 * self.point)
+        yield self._text(with_power(label, power, False), x, box.top + box.height / 2, 10.0, INK, "middle", turned=True)
 
 
 def path(x: Array, y: Array, steps: bool, columns: float) -> str:
@@ -478,14 +476,14 @@ def _corners(points: Whole, along: bool) -> NDArray[np.bool_]:
 
 def _once(points: Whole) -> str:
     """Return a path in which each piece is drawn once, however often a trajectory passes there."""
-    pieces = np.concatenate([points[:-1], points[1:]], axis=1)
-    first = np.sort(np.unique(pieces, axis=0, return_index=True)[1])
-    parts, last = [], -2
+    segments = np.concatenate([points[:-1], points[1:]], axis=1)
+    first = np.sort(np.unique(segments, axis=0, return_index=True)[1])
+    commands, last = [], -2
     for k in first.tolist():
-        x0, y0, x1, y1 = pieces[k].tolist()
-        parts.append(f"l{x1 - x0} {y1 - y0}" if k == last + 1 else f"M{x0} {y0}l{x1 - x0} {y1 - y0}")
+        x0, y0, x1, y1 = segments[k].tolist()
+        commands.append(f"l{x1 - x0} {y1 - y0}" if k == last + 1 else f"M{x0} {y0}l{x1 - x0} {y1 - y0}")
         last = k
-    return "".join(parts)
+    return "".join(commands)
 
 
 def _n(value: float) -> str:

@@ -16,7 +16,7 @@ POWERS = (-3, 5)  # from these powers of ten on, a factor stands in the axis tit
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def round_ticks(low: float, high: float, most: int, whole: bool = False) -> list[float]:
+def round_ticks(low: float, high: float, most: int, integers: bool = False) -> list[float]:
     """Return ticks between two limits.
 
     Parameters
@@ -25,18 +25,18 @@ def round_ticks(low: float, high: float, most: int, whole: bool = False) -> list
         Finite, low < high.
     most : int
         Of intervals.
-    whole : bool
+    integers : bool
         Only whole numbers.
     """
     raw = (high - low) / max(1, most)
     scale = 10.0 ** math.floor(math.log10(raw))
     steps = [s * scale for s in STEPS]
-    if whole:
+    if integers:
         steps = [s for s in steps if s < 1.0 or abs(s - round(s)) < 1e-3]
     fitting = next((k for k, s in enumerate(steps) if s >= raw), len(steps) - 1)
     result: list[float] = []
     for step in reversed(steps[: fitting + 1]):  # a finer step where this one leaves less than two ticks
-        if whole and math.floor(high) - math.ceil(low) >= 1:
+        if integers and math.floor(high) - math.ceil(low) >= 1:
             step = max(1.0, step)
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
         result = [k * step for k in range(first, last + 1)]

@@ -15,13 +15,13 @@ from .record import RunRecord
 SHORT, LONGEST = 30, 60  # letters: of folders that name their runs, and of what differs between those
 
 
-def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> list[str]:
+def names(runs: Sequence[tuple[Path, RunRecord]], labels: Sequence[str] = ()) -> list[str]:
     """Name each run by the command line, by its own label, or by its folder.
 
     Parameters
     ----------
     runs : sequence of (Path, RunRecord)
-    given : sequence of str
+    labels : sequence of str
         Names of the first runs.
 
     Returns
@@ -34,19 +34,19 @@ def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> 
     if max(map(len, folders), default=0) > SHORT:
         folders = _by_difference([run for _, run in runs]) or folders
     wanted = [run.label for _, run in runs]
-    wanted[: len(given)] = given
+    wanted[: len(labels)] = labels
     return [f"{w} ({f})" if w and wanted.count(w) > 1 else w or f for w, f in zip(wanted, folders, strict=True)]
 
 
 def _by_difference(runs: Sequence[RunRecord]) -> list[str]:
     """Name runs by their differences, such as ``delta 2, seed 3``; empty if that is too long or not unique."""
     changed, _ = differing(runs)
-    entries = {what: own for what, own in changed.items() if not what.startswith(("code of", "version of", "node "))}
-    parts = [
-        [value if what in ("scenario", "mode", "ended") else f"{what.split('.')[-1]} {value}" for value in own]
-        for what, own in entries.items()
+    entries = {key: values for key, values in changed.items() if not key.startswith(("code of", "version of", "node "))}
+    columns = [
+        [value if key in ("scenario", "mode", "ended") else f"{key.split('.')[-1]} {value}" for value in values]
+        for key, values in entries.items()
     ]
-    results = [", ".join(filter(None, own)) for own in zip(*parts, strict=True)]
+    results = [", ".join(filter(None, values)) for values in zip(*columns, strict=True)]
     fits = len({*results}) == len(runs) and all(results) and max(map(len, results)) <= LONGEST
     return results if fits else []
 
@@ -80,23 +80,23 @@ def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str
         "duration, s": lambda r: f"{r.duration_s:g}",
         "ended": lambda r: "broke" if r.error else r.stopped,
     }
-    results = {what: [say(r) for r in runs] for what, say in about.items()}
-    for kind, part in (("code of", lambda r: r.code), ("version of", machine)):
-        for name in dict.fromkeys(name for r in runs for name in part(r)):
-            results[f"{kind} {name}"] = [part(r).get(name, "") for r in runs]
+    results = {item: [say(r) for r in runs] for item, say in about.items()}
+    for kind, get in (("code of", lambda r: r.code), ("version of", machine)):
+        for name in dict.fromkeys(name for r in runs for name in get(r)):
+            results[f"{kind} {name}"] = [get(r).get(name, "") for r in runs]
     values: dict[str, list[str]] = {}
     for node in dict.fromkeys(name for r in runs for name in r.wiring.nodes):
-        there = [r.wiring.nodes.get(node) for r in runs]
-        results[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in there]
+        nodes = [r.wiring.nodes.get(node) for r in runs]
+        results[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in nodes]
         if len({*results[f"node {node}"]}) == 1:
-            parts = [dict(_leaves(node, r.parameters.get(node, {}))) for r in runs]
-            values |= {name: [p.get(name, "") for p in parts] for p in parts for name in p}
-    follows = {what: own for what, own in values.items() if len({*own}) > 1}
+            params = [dict(_leaves(node, r.parameters.get(node, {}))) for r in runs]
+            values |= {name: [p.get(name, "") for p in params] for p in params for name in p}
+    follows = {item: texts for item, texts in values.items() if len({*texts}) > 1}
     messages = [dict(_key_value(text) for text in r.changed if r.stopped != text) for r in runs]
-    for what in dict.fromkeys(key for own in messages for key in own):
-        results.setdefault(what, follows.pop(what, []) or [own.get(what, "as in the scenario") for own in messages])
-    changed = {what: own for what, own in results.items() if len({*own}) > 1}
-    causes = {"scenario", *(key for own in messages for key in own)} - {"seed"}
+    for item in dict.fromkeys(key for texts in messages for key in texts):
+        results.setdefault(item, follows.pop(item, []) or [texts.get(item, "as in the scenario") for texts in messages])
+    changed = {item: texts for item, texts in results.items() if len({*texts}) > 1}
+    causes = {"scenario", *(key for texts in messages for key in texts)} - {"seed"}
     return (changed, follows) if causes & changed.keys() else (changed | follows, {})
 
 
@@ -107,11 +107,11 @@ def machine(run: RunRecord) -> dict[str, str]:
 
 def _key_value(text: str) -> tuple[str, str]:
     """Split a change into its name and its value: ``node.k=3``, ``duration 3``, or a text by itself."""
-    what, sign, value = text.partition("=")
+    key, sign, value = text.partition("=")
     if sign:
-        return what, value
-    what, _, value = text.partition(" ")
-    return ("duration, s", value) if what == "duration" else (what, value) if what == "seed" else (text, "yes")
+        return key, value
+    key, _, value = text.partition(" ")
+    return ("duration, s", value) if key == "duration" else (key, value) if key == "seed" else (text, "yes")
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
@@ -120,10 +120,10 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
         with suppress(ValueError):
             value = json_of(value)
     if isinstance(value, dict):
-        for key, part in value.items():
-            yield from _leaves(f"{name}.{key}", part)
-    elif isinstance(value, list) and any(isinstance(part, dict) for part in value):
-        for k, part in enumerate(value):
-            yield from _leaves(f"{name}[{k}]", part)
+        for key, item in value.items():
+            yield from _leaves(f"{name}.{key}", item)
+    elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        for k, item in enumerate(value):
+            yield from _leaves(f"{name}[{k}]", item)
     else:
         yield name, value if isinstance(value, str) else json.dumps(value)

@@ -86,17 +86,17 @@ def _seed(content: Mapping[str, Any], rig: Rig) -> int:
 
 def differing(text: Any, measured: Sequence[Result]) -> list[str]:
     """Describe figures that differ between a metrics.json and the computation from its bag."""
-    there = {m.get("name"): m for m in text if isinstance(m, Mapping)} if isinstance(text, list) else {}
+    stored = {m.get("name"): m for m in text if isinstance(m, Mapping)} if isinstance(text, list) else {}
     results = []
     for result in measured:
-        value = there.get(result.name, {}).get("value")
-        if result.name not in there:
+        value = stored.get(result.name, {}).get("value")
+        if result.name not in stored:
             results.append(f"{result.name}: not in metrics.json, the bag gives {_number(result.value)}")
         elif not _same(value, result.value):
             results.append(f"{result.name}: {_number(value)} in metrics.json, the bag gives {_number(result.value)}")
     return [
         *results,
-        *(f"{name}: no figure of its scenario" for name in there if name not in {m.name for m in measured}),
+        *(f"{name}: no figure of its scenario" for name in stored if name not in {m.name for m in measured}),
     ]
 
 
@@ -135,9 +135,9 @@ def recorded_rig(scenario: Scenario, bag: Path, result: BagSignals, apart: Colle
     apart : collection of str
         Nodes, and packages, whose code may not run for it.
     """
-    ours = {n: e for n, e in scenario.nodes.items() if is_ours(e.package) and n not in apart}
-    units = {name: str(one.get("unit", "")) for name, one in _units(bag.parent).items()}
-    ports = [written(port) for port in _ports(scenario, result, units, ours)]
+    nodes = {n: e for n, e in scenario.nodes.items() if is_ours(e.package) and n not in apart}
+    units = {name: str(entry.get("unit", "")) for name, entry in _units(bag.parent).items()}
+    ports = [written(port) for port in _ports(scenario, result, units, nodes)]
     if not ports:
         raise ScenarioError(f"{scenario.name}: no topic in its bag that can be shown without its code")
     tape = {"package": "softrig_bags", "executable": "tape", "parameters": {"period": 0.001, "bag": str(bag),
@@ -148,7 +148,7 @@ def recorded_rig(scenario: Scenario, bag: Path, result: BagSignals, apart: Colle
     known = [f"{p.topic}/{label}" for p in rig.topics.values() for label in p.labels]
 
     def there(name: str) -> bool:
-        return all(full_name(part, known) in known for part in name.split(" - "))
+        return all(full_name(signal, known) in known for signal in name.split(" - "))
 
     plots = tuple(p for p in scenario.plots if not p.x and all(map(there, p.signals)))
     return rig.with_plots(plots)
@@ -163,12 +163,12 @@ def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
 
 
 def _ports(
-    scenario: Scenario, result: BagSignals, units: Mapping[str, str], ours: Mapping[str, NodeEntry]
+    scenario: Scenario, result: BagSignals, units: Mapping[str, str], nodes: Mapping[str, NodeEntry]
 ) -> Iterator[Port]:
     """Yield a port for each recorded topic: that of its node, or one made from its messages."""
     known: dict[str, Port] = {}
-    if ours:
-        alone = scenario.having(nodes=ours, changes=(), containers=(), trips=(), faults={})
+    if nodes:
+        alone = scenario.having(nodes=nodes, changes=(), containers=(), trips=(), faults={})
         known = {p.topic: p for m in members_of(alone, {}) for p in (*m.inputs, *m.outputs)}
     for name, topic in result.recording.topics.items():
         if name == CLOCK.topic or topic.msgtype not in TYPES or not topic.times:

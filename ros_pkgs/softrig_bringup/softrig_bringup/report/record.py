@@ -129,16 +129,16 @@ def read_run(directory: Path) -> RunRecord:
         raise ScenarioError(f"{path}: not valid JSON: {error}") from None
 
 
-def record_of(content: Any, where: str) -> RunRecord:
+def record_of(content: Any, source: str) -> RunRecord:
     """Check the content of a metrics.json.
 
     Raises
     ------
     ScenarioError
-        A key is missing or of the wrong type; names `where` and key.
+        A key is missing or of the wrong type; names `source` and key.
     """
     try:
         return RunRecord.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        raise ScenarioError(f"{where}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None
+        raise ScenarioError(f"{source}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None

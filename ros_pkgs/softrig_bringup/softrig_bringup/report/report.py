@@ -25,8 +25,8 @@ def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
     """Replace each folder that is not a run by the runs below it, if there are any."""
     result: list[Path] = []
     for directory in directories:
-        inside = [] if (directory / MARK).exists() else sorted(mark.parent for mark in directory.glob(f"*/{MARK}"))
-        result += inside or [directory]
+        below = [] if (directory / MARK).exists() else sorted(mark.parent for mark in directory.glob(f"*/{MARK}"))
+        result += below or [directory]
     return result
 
 
@@ -78,9 +78,9 @@ def write_report(
         for contradiction in runs[-1][1].contradictions if check else ():
             print_line(f"{directory}: {contradiction}")
     if not runs:
-        part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
+        partial = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
         remaining = (
-            "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
+            "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if partial else ""
         )
         for kind, path in ((MARKS.get(mark), Path(d)) for d in without for mark in MARKS if Path(d, mark).exists()):
             raise ScenarioError(f"{path}: is a {kind}; its page is {path / 'report.html'}, and its verb writes it")

@@ -41,10 +41,10 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
     """
     below = f"h{int(heading[1]) + 1}"
     about = [run.title] if title != run.title else []
-    what = ", ".join([run.scenario, *run.changed])
+    subject = ", ".join([run.scenario, *run.changed])
     broken = [e("p", f"The run broke: {run.error}", class_="broken")] if run.error else []
     broken += [e("p", f"Contradiction: {contradiction}", class_="broken") for contradiction in run.contradictions]
-    parts = [
+    sections = [
         ("Figures", [metrics(run)]),
         ("Signals", list(_pictures(directory, run))),
         ("Block diagram", list(_rig(run))),
@@ -61,12 +61,12 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
             "header",
             e(heading, title),
             *(e("p", text, class_="what") for text in about),
-            e("p", f"{run.system} · ", e("code", what), class_="what"),
+            e("p", f"{run.system} · ", e("code", subject), class_="what"),
             *([e("p", run.source, class_="what")] if run.source else []),
             _facts(run),
             *broken,
         ),
-        *(element for name, content in parts if content for element in (e(below, name), *content)),
+        *(element for name, content in sections if content for element in (e(below, name), *content)),
         id=anchor,
         class_="run",
     )
@@ -94,13 +94,13 @@ def verdict(run: RunRecord) -> Element:
     """Describe in a few words how a run did."""
     if run.error:
         return mark(False, "broke")
-    others = sum(bool(m.published_for) for m in run.metrics)
-    if run.stopped or (others and not run.judged):
+    unjudged = sum(bool(m.published_for) for m in run.metrics)
+    if run.stopped or (unjudged and not run.judged):
         return e("span", "compared, not judged")
     if not run.judged:
         return e("span", NONE)
     text = f"{len(run.judged) - len(run.missed)} of {len(run.judged)} pass"
-    return mark(not run.missed, f"{text}, {others} not judged" if others else text)
+    return mark(not run.missed, f"{text}, {unjudged} not judged" if unjudged else text)
 
 
 def metrics(run: RunRecord) -> Element:
@@ -118,14 +118,14 @@ def metrics(run: RunRecord) -> Element:
         "Result": ("", lambda m: "" if run.stopped else _result(m)),
     }
     cells = {head: [cell(m) for m in run.metrics] for head, (_, cell) in columns.items()}
-    there = [head for head, column in cells.items() if any(c not in ("", NONE) for c in column)]
-    rows = list(zip(*(cells[head] for head in there), strict=True))
+    shown = [head for head, column in cells.items() if any(c not in ("", NONE) for c in column)]
+    rows = list(zip(*(cells[head] for head in shown), strict=True))
     notes = {
         "Published": "Published: the number of the source.",
         "Accepted": "Accepted: what this scenario asks of the run.",
     }
-    note = " ".join(text for head, text in notes.items() if head in there)
-    result = table(there, rows, "".join(columns[head][0] or " " for head in there))
+    note = " ".join(text for head, text in notes.items() if head in shown)
+    result = table(shown, rows, "".join(columns[head][0] or " " for head in shown))
     return e("div", result, *([e("p", note, class_="note")] if note else []), class_="judged")
 
 
@@ -143,12 +143,12 @@ def _gauge(metric: Result) -> Element | str:
     """Draw the measured value as a dot in its tolerance bar; a dot outside of the bar is a miss."""
     if metric.value is None or metric.expected is None or not metric.tolerance:
         return ""
-    place = (metric.value - metric.expected) / metric.tolerance
-    dot = 40.0 + 26.0 * max(-1.4, min(1.4, place))
+    deviation = (metric.value - metric.expected) / metric.tolerance
+    dot = 40.0 + 26.0 * max(-1.4, min(1.4, deviation))
     kind = "" if metric.published_for else "pass" if metric.passed else "miss"
     return e(
         "svg",
-        e("title", f"{100.0 * place:+.0f} % of the tolerance".replace("-", "−")),
+        e("title", f"{100.0 * deviation:+.0f} % of the tolerance".replace("-", "−")),
         e("rect", x="14", y="5", width="52", height="4", rx="2", class_="band"),
         e("line", x1="40", x2="40", y1="2", y2="12", class_="centre"),
         e("circle", cx=f"{dot:.1f}", cy="7", r="3.5", class_=kind),
@@ -195,12 +195,12 @@ def _rig(run: RunRecord) -> Iterator[Element]:
             "Dashed: a node outside, its parameters unknown.",
             "A ring ends a topic that no node of the rig reads.",
         ]
-        there = [
+        present = [
             any(n.plant for n in wiring.nodes.values()),
             any(n.outside for n in wiring.nodes.values()),
             any(not w.readers for w in wiring.wires),
         ]
-        yield e("p", " ".join(note for note, is_there in zip(notes, there, strict=True) if is_there), class_="note")
+        yield e("p", " ".join(note for note, is_there in zip(notes, present, strict=True) if is_there), class_="note")
 
 
 def _parameters(run: RunRecord) -> Iterator[Element]:
@@ -263,11 +263,11 @@ def _nodes(run: RunRecord) -> Iterator[Element]:
         yield from (e("p", e("code", node), f": {text}") for text in messages)
     native = {node: status["native"] for node, status in run.nodes.items() if "native" in status}
     if any(ticks for ticks, _ in native.values()):
-        parts = [
+        items = [
             node + (f" {ticks} ticks" if ticks else " none") + (f" ({why})" if why else "")
             for node, (ticks, why) in native.items()
         ]
-        yield e("p", f"Answered by native code: {', '.join(parts)}", class_="note")
+        yield e("p", f"Answered by native code: {', '.join(items)}", class_="note")
 
 
 def _plain(status: Mapping[str, Any]) -> dict[str, Any]:
@@ -277,9 +277,9 @@ def _plain(status: Mapping[str, Any]) -> dict[str, Any]:
 
 def _heading(name: str) -> str:
     """Return the heading of a column: ``cpu_s`` becomes "cpu (s)"."""
-    words, _, last = name.rpartition("_")
+    quantity, _, last = name.rpartition("_")
     unit = {"s": "s", "ms": "ms", "mb": "MB"}.get(last)
-    return f"{words} ({unit})".replace("_", " ") if unit else name.replace("_", " ")
+    return f"{quantity} ({unit})".replace("_", " ") if unit else name.replace("_", " ")
 
 
 def _figure(value: float | None) -> str:

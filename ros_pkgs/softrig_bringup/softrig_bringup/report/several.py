@@ -45,15 +45,15 @@ def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
     keys = [_draws(run) for run in runs]
     result = list(named)
     for key in dict.fromkeys(keys):
-        mine = [k for k, other in enumerate(keys) if other == key]
-        if key and LEAST <= len(mine) == len({runs[k].seed for k in mine}):
-            letters = zip(*(named[k] for k in mine), strict=False)
+        members = [k for k, same in enumerate(keys) if same == key]
+        if key and LEAST <= len(members) == len({runs[k].seed for k in members}):
+            letters = zip(*(named[k] for k in members), strict=False)
             shared = "".join(c[0] for c in takewhile(lambda c: len({*c}) == 1, letters))
             shared = shared.rstrip(" -_=,/([").removesuffix("seed").rstrip(" -_")
-            shared = shared or runs[mine[0]].scenario
-            label = shared if result.count(shared) <= (shared in [named[k] for k in mine]) else ""
-            for k in mine:
-                result[k] = label or f"{named[mine[0]]} and others"
+            shared = shared or runs[members[0]].scenario
+            label = shared if result.count(shared) <= (shared in [named[k] for k in members]) else ""
+            for k in members:
+                result[k] = label or f"{named[members[0]]} and others"
     return result
 
 
@@ -68,25 +68,27 @@ def _draws(run: RunRecord) -> str:
 def differences(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Element]:
     """For each system with several runs: one row for each thing that differs between them."""
     for system in dict.fromkeys(run.system for run in runs):
-        mine = [(run, name) for run, name in zip(runs, named, strict=True) if run.system == system]
-        if len(mine) < 2:
+        members = [(run, name) for run, name in zip(runs, named, strict=True) if run.system == system]
+        if len(members) < 2:
             continue
-        changed, follows = differing([run for run, _ in mine])
+        changed, follows = differing([run for run, _ in members])
         yield e("h2", f"{system}: what differs")
         if not changed:
             yield e("p", "Nothing: equal code, parameters, seed and machine.", class_="note")
             continue
-        yield from _differing(changed, [name for _, name in mine])
+        yield from _differing(changed, [name for _, name in members])
         if follows:
             count = f"{len(follows)} parameter{'s that differ' if len(follows) > 1 else ' that differs'} because of it"
-            yield e("details", e("summary", count), *_differing(follows, [name for _, name in mine]))
+            yield e("details", e("summary", count), *_differing(follows, [name for _, name in members]))
 
 
 def _differing(result: Mapping[str, Sequence[str]], named: Sequence[str]) -> Iterator[Element]:
     rows = []
-    for what, values in list(result.items())[:MOST]:
-        by = {v: [name for name, own in zip(named, values, strict=True) if own == v] for v in values}
-        rows.append((what, e("div", *(e("div", e("b", v or NONE), f" in {_listed(of)}") for v, of in by.items()))))
+    for item, values in list(result.items())[:MOST]:
+        runs_of = {v: [name for name, text in zip(named, values, strict=True) if text == v] for v in values}
+        rows.append(
+            (item, e("div", *(e("div", e("b", v or NONE), f" in {_listed(runs)}") for v, runs in runs_of.items())))
+        )
     yield table(("What", "In which run"), rows)
     if len(result) > MOST:
         yield e("p", f"And {len(result) - MOST} more.", class_="note")
@@ -162,38 +164,41 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
     records = [run for _, run in runs]
     same = groups(records, named)
     for system in dict.fromkeys(run.system for run in records):
-        mine = [k for k, run in enumerate(records) if run.system == system]
-        results = {k: opened for k in mine if (opened := _signals(*runs[k])) is not None}
+        members = [k for k, run in enumerate(records) if run.system == system]
+        results = {k: opened for k in members if (opened := _signals(*runs[k])) is not None}
         drawn: list[tuple[str, str]] = []
         alone: list[str] = []
-        for part in _lengths({k: records[k].simulated_s for k in results}):
-            ends = max(records[k].simulated_s for k in part)
+        for group in _lengths({k: records[k].simulated_s for k in results}):
+            ends = max(records[k].simulated_s for k in group)
             pictures = list(
                 draw_overlay(
-                    [Overlay(named[k], same[k], records[k].plots, records[k].signals, results[k]) for k in part],
-                    "" if len(part) == len(results) else f", runs of up to {ends:g} s",
+                    [Overlay(named[k], same[k], records[k].plots, records[k].signals, results[k]) for k in group],
+                    "" if len(group) == len(results) else f", runs of up to {ends:g} s",
                 )
             )
             drawn += pictures
-            alone += [] if pictures else [named[k] for k in part]
+            alone += [] if pictures else [named[k] for k in group]
         if drawn:
             yield e("h2", f"{system}: signals")
         yield from (e("figure", picture(data, title)) for title, data in drawn)
-        lost = [named[k] for k in mine if k not in results]
-        for text, of in (("for want of a bag", lost), ("no other run of about their length has their plots", alone)):
-            if drawn and of:
-                yield e("p", f"Not drawn here, {text}: {', '.join(of)}", class_="note")
+        lost = [named[k] for k in members if k not in results]
+        for text, missing in (
+            ("for want of a bag", lost),
+            ("no other run of about their length has their plots", alone),
+        ):
+            if drawn and missing:
+                yield e("p", f"Not drawn here, {text}: {', '.join(missing)}", class_="note")
 
 
 def _lengths(ends: dict[int, float]) -> list[list[int]]:
     """Group runs by length, the longest first, so that a picture shows each run completely."""
-    parts: list[list[int]] = []
+    result: list[list[int]] = []
     for k in sorted(ends, key=lambda k: -ends[k]):
-        if parts and ends[parts[-1][0]] <= APART * ends[k]:
-            parts[-1].append(k)
+        if result and ends[result[-1][0]] <= APART * ends[k]:
+            result[-1].append(k)
         else:
-            parts.append([k])
-    return [sorted(part) for part in parts]
+            result.append([k])
+    return [sorted(group) for group in result]
 
 
 def _signals(directory: Path, run: RunRecord) -> Signals | None:

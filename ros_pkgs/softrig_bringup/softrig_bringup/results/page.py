@@ -76,12 +76,12 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
         table(header, totals, " nnnnn "),
         e(
             "p",
-            *(part for v, text in VERDICTS.items() for part in (e("b", v.replace("_", " ")), f": {text}. ")),
+            *(element for v, text in VERDICTS.items() for element in (e("b", v.replace("_", " ")), f": {text}. ")),
             class_="note",
         ),
         e("p", AGREES, class_="note"),
     ]
-    for system, mine, group in groups:
+    for system, members, group in groups:
         cells: list[tuple[Element | str, ...]] = [
             (
                 _claim(r),
@@ -95,7 +95,7 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
             for r in group
         ]
         names = list(dict.fromkeys(r.scenario for r in group))
-        papers = list(sources(_cited(mine))) or [e("p", text, class_="what") for text in _stated(mine)]
+        papers = list(sources(_cited(members))) or [e("p", text, class_="what") for text in _stated(members)]
         body.append(
             e(
                 "section",
@@ -122,8 +122,8 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: st
     groups = list(by_system(scenarios, rows))
     lines += [f"| {s} | " + " | ".join(_count(group, v) for v in VERDICTS) + " |" for s, _, group in groups]
     lines += ["", *(f"- **{v.replace('_', ' ')}**: {text}" for v, text in VERDICTS.items()), "", AGREES]
-    for system, mine, group in groups:
-        lines += ["", f"## {system}", "", *(listed(_cited(mine)) or _stated(mine)), ""]
+    for system, members, group in groups:
+        lines += ["", f"## {system}", "", *(listed(_cited(members)) or _stated(members)), ""]
         lines += ["| claim | where | published | agrees when | measured | verdict | scenario |", "|---" * 7 + "|"]
         for r in group:
             verdict = r.verdict.replace("_", " ") + ("" if r.holds else " (NOT BORNE OUT)")
@@ -159,15 +159,15 @@ def command(scenario: str) -> str:
 def _run(row: Finding, out: Path | None) -> Element:
     """Return the scenario with its report and its first picture, if they exist."""
     name = row.figure.rpartition(".")[0] or row.scenario
-    place = Path("runs", name)
-    if out is None or not (out / place / "report.html").is_file():
+    folder = Path("runs", name)
+    if out is None or not (out / folder / "report.html").is_file():
         return e("code", name)
-    first = next(iter(sorted((out / place).glob("plot_01_*.svg"))), out / place / OVERVIEW)
+    first = next(iter(sorted((out / folder).glob("plot_01_*.svg"))), out / folder / OVERVIEW)
     return e(
         "div",
-        e("a", e("code", name), href=f"{place}/report.html"),
+        e("a", e("code", name), href=f"{folder}/report.html"),
         " ",
-        e("a", "picture", href=f"{place}/{first.name}"),
+        e("a", "picture", href=f"{folder}/{first.name}"),
     )
 
 

@@ -59,9 +59,9 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     name, folder = work
     try:
         rig = rig_of(name)
-        place, key = (None, "") if folder is None else (folder / name, _key(rig))
-        if place and (kept := _kept(place, key)):
-            return kept
+        target, key = (None, "") if folder is None else (folder / name, _key(rig))
+        if target and (stored := _kept(target, key)):
+            return stored
         run = simulate(rig, thorough=True)
     except (RunError, ScenarioError) as error:
         return Measured(name, {}, {}, [], str(error))
@@ -69,36 +69,36 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     result = Measured(
         name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "", seconds=run.wall_s
     )
-    if place:
-        cleared = _cleared(place)
+    if target:
+        cleared = _cleared(target)
         save(run, summary(run, results, command(name)), cleared, record=False)
         illustrate(run, cleared)
-        replace(_figures(place), json.dumps({"key": key, "measured": result._asdict()}) + "\n")
+        replace(_figures(target), json.dumps({"key": key, "measured": result._asdict()}) + "\n")
     return result
 
 
-def _cleared(place: Path) -> ResultsFolder:
-    folder = ResultsFolder(place)
+def _cleared(path: Path) -> ResultsFolder:
+    folder = ResultsFolder(path)
     folder.clear()
     return folder
 
 
-def _figures(place: Path) -> Path:
-    return place.with_name(f"{place.name}.json")  # beside the run, which lists all that is in its folder
+def _figures(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.json")  # beside the run, which lists all that is in its folder
 
 
 def _key(rig: Rig) -> str:
     """Return a key of everything a run depends on: scenario, code, files that blocks read, libraries, machine."""
-    made = made_of({}, [rig])
+    code = made_of({}, [rig])
     libraries = {k: v for k, v in versions().items() if k != "commit"}
-    whole = json.dumps([rig.scenario.model_dump(mode="json"), made, libraries], sort_keys=True, default=str)
-    return hashlib.sha256(whole.encode()).hexdigest()
+    text = json.dumps([rig.scenario.model_dump(mode="json"), code, libraries], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _kept(place: Path, key: str) -> Measured | None:
+def _kept(folder: Path, key: str) -> Measured | None:
     try:
-        content = json_of(_figures(place).read_text())
-        if content["key"] != key or not (place / "report.html").is_file():
+        content = json_of(_figures(folder).read_text())
+        if content["key"] != key or not (folder / "report.html").is_file():
             return None
         return Measured(**content["measured"])._replace(kept=True)
     except (OSError, ValueError, KeyError, TypeError):
@@ -231,14 +231,14 @@ def main(options: argparse.Namespace) -> int:
         rows, measured = gather(scenarios, options.workers, out / "runs")
         without = "" if options.studies else left_out(systems)
         if options.studies:
-            more, held = study_findings(systems, out / "studies", options.workers)
-            scenarios, rows = scenarios + more, rows + held
+            more, judged = study_findings(systems, out / "studies", options.workers)
+            scenarios, rows = scenarios + more, rows + judged
         replace(out / f"{name}.html", html(scenarios, rows, without, out))
         replace(out / f"{name}.md", markdown(scenarios, rows, without))
     write_reports(options.junit, suites(rows, measured), options.json, [row.model_dump() for row in rows])
-    kept = sum(m.kept for m in measured.values())
-    if kept:
-        print(f"{kept} of {len(measured)} runs are kept: neither code nor scenario has changed")
+    unchanged = sum(m.kept for m in measured.values())
+    if unchanged:
+        print(f"{unchanged} of {len(measured)} runs are kept: neither code nor scenario has changed")
     print(counts(rows) + (f"; {without}" if without else ""))
     status = 0
     for result in measured.values():

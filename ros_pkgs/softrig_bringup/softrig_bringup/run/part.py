@@ -48,8 +48,8 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
     if options.mode == "inprocess":
         raise ScenarioError("--only: blocks in process have no other machine; expected --mode processes or container")
     out = (options.out or Path("runs") / folder_name(rig.scenario.name, options, options.only)).absolute()
-    others = [name for name in names if name not in options.only]
-    print_line(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(others) or 'nobody'}")
+    absent = [name for name in names if name not in options.only]
+    print_line(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(absent) or 'nobody'}")
     placement = replace(placement_of(options), wait=options.wait or 0.0)
     from softrig_nodes import run_processes
 
@@ -57,9 +57,9 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
     if outcome.error:
         print_line(f"the run broke: {outcome.error}")
         return 3
-    where = os.path.relpath(out / "log")
+    log = os.path.relpath(out / "log")
     print_line(
-        f"recorded in {where}; a bag of the whole rig: the .shard files of all parts in one folder, then "
+        f"recorded in {log}; a bag of the whole rig: the .shard files of all parts in one folder, then "
         "softrig bag repair FOLDER"
     )
     return 128 + outcome.stopped if outcome.stopped else 0

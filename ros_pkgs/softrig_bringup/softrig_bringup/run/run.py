@@ -182,8 +182,8 @@ def gaps(rig: Rig, recording: Recording) -> str:
         wanted = schedule.count()
         if len(times) == wanted and times[0] == 0 and times[-1] == schedule.last:
             continue
-        at = next((i for i, t in enumerate(times.tolist()) if t != schedule.time(i)), len(times))
-        results.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {schedule.time(at) / 1e9:.9g} s")
+        k = next((i for i, t in enumerate(times.tolist()) if t != schedule.time(i)), len(times))
+        results.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {schedule.time(k) / 1e9:.9g} s")
     return "; ".join(results)
 
 
@@ -191,7 +191,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
     """Create the content of metrics.json; `label` is the name of the run."""
     scenario = run.rig.scenario
     # Code and parameters of external nodes are not known here.
-    own = [m for m in run.rig.members if not m.external]
+    members = [m for m in run.rig.members if not m.external]
     return {
         "scenario": scenario.name,
         "title": scenario.title,
@@ -208,19 +208,19 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "stopped": run.stopped_at,
         "command": command,
         "versions": versions() | checkout(),
-        "code": fingerprints(m.block_class for m in own),
-        "contents": {m.name: dict(m.files) for m in own if m.files},
-        "parameters": {m.name: flatten(m.params) for m in own},
+        "code": fingerprints(m.block_class for m in members),
+        "contents": {m.name: dict(m.files) for m in members if m.files},
+        "parameters": {m.name: flatten(m.params) for m in members},
         "changes": _changes(run),
         "branched": run.branched,
         "once": _once(run),
-        "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
+        "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in members},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
         "claims": [f.model_dump() for f in run.claims],
         "nodes": run.status,
         "plots": [p.model_dump() for p in scenario.plots],
         "signals": {name: s.model_dump() for name, s in shown(run.rig).items()},
-        **({"also": other_names(run.rig)} if len(own) < len(run.rig.members) else {}),
+        **({"also": other_names(run.rig)} if len(members) < len(run.rig.members) else {}),
         "wiring": wiring_of(run.rig).model_dump(),
         "citations": [c.model_dump() for c in cited(scenario.cites)],
     }
@@ -372,8 +372,8 @@ def _writing(folder: ResultsFolder) -> Iterator[Path]:
 
 def _texts(rig: Rig) -> dict[str, str]:
     """Return topic to text of the latched topics of the rig."""
-    own = [m for m in rig.members if not m.external and m.block_class.latched is not Block.latched]
-    return {topic: text for m in own for topic, text in m.block(rig.scenario.seed).latched().items()}
+    members = [m for m in rig.members if not m.external and m.block_class.latched is not Block.latched]
+    return {topic: text for m in members for topic, text in m.block(rig.scenario.seed).latched().items()}
 
 
 def _scenes(rig: Rig) -> dict[str, Scene]:
@@ -394,7 +394,7 @@ def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     epoch |= {"late": json.dumps(late)} if late else {}
     epoch |= {"from": json.dumps(content["from"])} if "from" in content else {}  # the run that it goes on from
     epoch |= {"contents": json.dumps(content["contents"])} if content["contents"] else {}
-    seen = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
-    observed = {"observed": json.dumps(seen)} if seen else {}
+    last = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
+    observed = {"observed": json.dumps(last)} if last else {}
     epoch |= {"branched": json.dumps(run.branched)} if run.branched else {}
     return epoch | observed | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

@@ -106,12 +106,12 @@ class Log:
         self.passed_over = 0
         if path.is_symlink():
             raise ScenarioError(f"{path} is a link, expected a file of its own for the rows")
-        lines, whole = 0, True
+        lines, complete = 0, True
         if path.exists():
             with path.open("rb") as file:
                 for line in file:
                     lines += 1
-                    whole = line.endswith(b"\n")
+                    complete = line.endswith(b"\n")
                     if (row := row_of(line)) is not None and 0 <= row["number"] < total:
                         self._known.setdefault(row["number"], _content(row))
             if cases is not None and self._known:
@@ -119,7 +119,7 @@ class Log:
                 self._known = {k: v for k, v in self._known.items() if expected.get(k) == v}
             self.passed_over = lines - len(self._known)
         self._file = path.open("ab")
-        if not whole:
+        if not complete:
             # The last line was cut off, and the next row must be a line of its own.
             self._file.write(b"\n")
 
@@ -199,5 +199,5 @@ def row_of(line: bytes) -> dict[str, Any] | None:
 
 def _content(run: Mapping[str, Any]) -> bytes:
     """Return a digest of the definition of a run."""
-    what = json.dumps([run["scenario"], run["case"], run["seed"], run["overrides"]])
-    return hashlib.blake2b(what.encode(), digest_size=16).digest()
+    text = json.dumps([run["scenario"], run["case"], run["seed"], run["overrides"]])
+    return hashlib.blake2b(text.encode(), digest_size=16).digest()

@@ -36,16 +36,16 @@ class Distribution(Entry):
 
     @model_validator(mode="after")
     def _one(self) -> Distribution:
-        given = [k for k in type(self).model_fields if getattr(self, k) is not None]
-        if len(given) != 1:
-            raise ValueError(f"expected one of {', '.join(type(self).model_fields)}, got {', '.join(given) or 'none'}")
-        pair = getattr(self, given[0])
-        if given[0] == "log_uniform" and min(_flat(pair)) <= 0.0:
+        stated = [k for k in type(self).model_fields if getattr(self, k) is not None]
+        if len(stated) != 1:
+            raise ValueError(f"expected one of {', '.join(type(self).model_fields)}, got {', '.join(stated) or 'none'}")
+        pair = getattr(self, stated[0])
+        if stated[0] == "log_uniform" and min(_flat(pair)) <= 0.0:
             raise ValueError("log_uniform: expected bounds above 0")
-        if given[0] in ("uniform", "log_uniform", "integers"):
+        if stated[0] in ("uniform", "log_uniform", "integers"):
             low, high = (_flat([side]) for side in pair)
             if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
-                raise ValueError(f"{given[0]}: expected a lower and an upper bound, got {pair}")
+                raise ValueError(f"{stated[0]}: expected a lower and an upper bound, got {pair}")
         return self
 
 
@@ -120,12 +120,12 @@ class Summary(Entry):
         return self
 
 
-def _seeds(given: Any) -> Any:
-    if not isinstance(given, int) or isinstance(given, bool):
-        return given
-    if not 1 <= given <= MOST:
+def _seeds(value: Any) -> Any:
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
+    if not 1 <= value <= MOST:
         raise ValueError(f"expected 1 to {MOST} seeds, or a list of them")
-    return list(range(given))
+    return list(range(value))
 
 
 class Study(Entry):
@@ -201,8 +201,8 @@ class Study(Entry):
 def study_folders() -> list[Path]:
     """Return the folders of study files: ``studies`` beside each folder of scenarios."""
     folders = [folder.parent / "studies" for folder in scenario_folders()]
-    given = [Path(p) for p in os.environ.get("SOFTRIG_STUDIES", "").split(os.pathsep) if p]
-    return [f for f in (*given, *folders) if f.is_dir()]
+    from_environment = [Path(p) for p in os.environ.get("SOFTRIG_STUDIES", "").split(os.pathsep) if p]
+    return [f for f in (*from_environment, *folders) if f.is_dir()]
 
 
 def list_studies() -> dict[str, Path]:

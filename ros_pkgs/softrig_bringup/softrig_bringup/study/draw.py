@@ -30,7 +30,7 @@ class Case(NamedTuple):
 
 def drafts_of(study: Study) -> dict[str, Draft]:
     """Read the scenarios of a study, by their names in the study."""
-    names = [study.scenario, *(str(own["scenario"]) for own in study.cases.values() if "scenario" in own)]
+    names = [study.scenario, *(str(case["scenario"]) for case in study.cases.values() if "scenario" in case)]
     return {name: read_draft(name) for name in dict.fromkeys(names)}
 
 
@@ -53,14 +53,14 @@ def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[C
     number = 0
     points = draw(study.draws) if study.draws else [{}]
     for name, changes in (study.cases or {"": {}}).items():
-        own = dict(changes)
-        scenario = own.pop("scenario", study.scenario)
+        overrides = dict(changes)
+        scenario = overrides.pop("scenario", study.scenario)
         seeds = seeds_of(study, drafts[scenario])
         for values in itertools.product(*study.grid.values()):
-            at = dict(zip(study.grid, values, strict=True))
+            grid_point = dict(zip(study.grid, values, strict=True))
             for point in points:
                 for seed in seeds:
-                    yield Case(number, scenario, name, own | at | point, seed)
+                    yield Case(number, scenario, name, overrides | grid_point | point, seed)
                     number += 1
 
 
@@ -119,10 +119,10 @@ def size(d: Distribution) -> int:
 
 
 def _point(parameters: Mapping[str, Distribution], sizes: Mapping[str, int], unit: Array) -> dict[str, Any]:
-    at, point = 0, {}
+    first, point = 0, {}
     for name, d in parameters.items():
-        u = unit[at : at + sizes[name]]
-        at += sizes[name]
+        u = unit[first : first + sizes[name]]
+        first += sizes[name]
         values = _values(d, u)
         pair = d.uniform or d.log_uniform or d.normal
         vector = pair is not None and any(isinstance(x, list) for x in pair)

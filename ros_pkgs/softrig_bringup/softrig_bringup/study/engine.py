@@ -59,8 +59,8 @@ def run_study(
     # The files are read once, so that an edit during the study does not change it.
     drafts = drafts_of(study)
     rigs = check_study(study, drafts)
-    given = content_of(study, drafts, rigs)
-    same(given, out / "study.json", "study")
+    content = content_of(study, drafts, rigs)
+    same(content, out / "study.json", "study")
     if distinct and not (out / "study.json").exists():
         check_seeds(study, drafts)
     # Workers stay from row to row, and a row must not depend on those that its worker has run before.
@@ -71,7 +71,7 @@ def run_study(
     with folder.alone():
         try:
             # The folder is checked again under the lock, because another call may have written to it since.
-            replace(out / "study.json", same(given, out / "study.json", "study"))
+            replace(out / "study.json", same(content, out / "study.json", "study"))
             log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study, drafts))
             with Batch(study.name, log, workers, scheduler) as batch:
                 if study.search:
@@ -114,10 +114,10 @@ def check_seeds(study: Study, drafts: Mapping[str, Draft]) -> None:
     for case in _firsts(study, drafts):
         work = _work(study, case, drafts)
         try:
-            one, other = (recorded(work, seed) for seed in (study.seeds or ())[:2])
+            first, second = (recorded(work, seed) for seed in (study.seeds or ())[:2])
         except RunError:
             return  # its row says why
-        if any(topic.data != other[name].data for name, topic in one.items()):
+        if any(topic.data != second[name].data for name, topic in first.items()):
             return
     raise ScenarioError(
         f"{study.name}: {len(study.seeds or ())} seeds are one run, as no node draws a random number that reaches a "
@@ -165,7 +165,7 @@ def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str,
     }
 
 
-def same(content: dict[str, Any], file: Path, what: str) -> str:
+def same(content: dict[str, Any], file: Path, noun: str) -> str:
     """Ensure that a folder has this content or none, because stored rows are reused by number.
 
     Raises
@@ -175,26 +175,26 @@ def same(content: dict[str, Any], file: Path, what: str) -> str:
     """
     if file.exists():
         try:
-            there = json_of(file.read_text())
+            stored = json_of(file.read_text())
         except ValueError:
-            there = None
-        if there != content:
-            why = _changed(there, content) if isinstance(there, dict) else ""
-            raise OtherContentError(f"{file.parent} holds another {what}{why}; choose another --out, or remove it")
+            stored = None
+        if stored != content:
+            why = _changed(stored, content) if isinstance(stored, dict) else ""
+            raise OtherContentError(f"{file.parent} holds another {noun}{why}; choose another --out, or remove it")
     return json.dumps(content, indent=1) + "\n"
 
 
-def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
+def _changed(stored: dict[str, Any], current: dict[str, Any]) -> str:
     """Describe what has changed since a study with the same text; None if its text differs."""
-    parts = {"scenarios": "scenario", "code": "the code of", "files": "a file of"}
-    if any(there.get(key) != value for key, value in here.items() if key not in parts):
+    nouns = {"scenarios": "scenario", "code": "the code of", "files": "a file of"}
+    if any(stored.get(key) != value for key, value in current.items() if key not in nouns):
         return ""
-    for part, words in parts.items():
-        old, new = there.get(part), here[part]
+    for field, noun in nouns.items():
+        old, new = stored.get(field), current[field]
         if not isinstance(old, dict):  # made before this was kept
             return ""
         if names := sorted(name for name in old.keys() | new.keys() if old.get(name) != new.get(name)):
-            return f" ({words} {', '.join(names)} has changed)"
+            return f" ({noun} {', '.join(names)} has changed)"
     return ""
 
 
@@ -269,11 +269,11 @@ def _search(study: Study, search: Search, batch: Batch, drafts: Mapping[str, Dra
         # cores.
         rows = batch.rows(works)
         for i, trial in enumerate(trials):
-            own = rows[i * len(seeds) : (i + 1) * len(seeds)]
-            mine = [row["figures"].get(search.figure) for row in own]
-            value = worst if None in mine else float(np.mean(mine))
+            group = rows[i * len(seeds) : (i + 1) * len(seeds)]
+            values = [row["figures"].get(search.figure) for row in group]
+            value = worst if None in values else float(np.mean(values))
             for name, limits in search.subject_to.items():
-                trial.set_constraint(name, max(beyond(row, name, limits) for row in own))
+                trial.set_constraint(name, max(beyond(row, name, limits) for row in group))
             asked.tell(trial, value if math.isfinite(value) else math.copysign(1e300, value))
 
 
@@ -283,8 +283,8 @@ def beyond(row: Mapping[str, Any], figure: str, limits: Expectation) -> float:
     if limits.holds(value):
         return 0.0
     ends = (limits.at_most, limits.at_least, limits.expected)
-    by = max((abs(value - end) for end in ends if end is not None), default=math.inf)
-    return min(by, 1e300) if by == by else 1e300
+    excess = max((abs(value - end) for end in ends if end is not None), default=math.inf)
+    return min(excess, 1e300) if excess == excess else 1e300
 
 
 def _optuna(name: str, d: Any) -> Any:

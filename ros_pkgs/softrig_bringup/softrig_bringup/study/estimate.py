@@ -137,8 +137,8 @@ def clustered(values: Array, statistic: Statistic) -> Estimate:
     """
     n, seeds = values.shape
 
-    def drawn(at: NDArray[np.int_], axis: int) -> Array:
-        return statistic(values[at].reshape(*at.shape[:-1], n * seeds), axis=axis)
+    def drawn(rows: NDArray[np.int_], axis: int) -> Array:
+        return statistic(values[rows].reshape(*rows.shape[:-1], n * seeds), axis=axis)
 
     return _resampled(np.arange(n), drawn)
 
@@ -221,14 +221,14 @@ def sobol(a: Array, b: Array, mixed: Array) -> list[tuple[Estimate, Estimate]]:
     """
     from scipy import stats
 
-    def indices(at: NDArray[np.int_]) -> Array:
-        of = {"f_A": a[None, at], "f_B": b[None, at], "f_AB": mixed[:, None, at]}
-        result = stats.sobol_indices(func=of, n=a.size)
+    def indices(rows: NDArray[np.int_]) -> Array:
+        values = {"f_A": a[None, rows], "f_B": b[None, rows], "f_AB": mixed[:, None, rows]}
+        result = stats.sobol_indices(func=values, n=a.size)
         return np.array([np.atleast_1d(result.first_order), np.atleast_1d(result.total_order)])
 
     value = indices(np.arange(a.size))
     drawn = np.random.default_rng(0).integers(a.size, size=(499, a.size))
-    low, high = np.quantile([indices(at) for at in drawn], (0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0), axis=0)
+    low, high = np.quantile([indices(rows) for rows in drawn], (0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0), axis=0)
     first, total = (
         [Estimate(*map(float, ends)) for ends in zip(value[k], low[k], high[k], strict=True)] for k in (0, 1)
     )

@@ -41,8 +41,8 @@ def study_of(options: Namespace) -> Study:
     if name in list_studies() or (file and "scenario" in (read_yaml(path.read_text(), path.name) or {})):
         written = load_study(name).model_dump()
         changed = make_study(_recounted(written, options) | changes)
-        others = [k for k, v in changed.model_dump().items() if k not in VIEWS and v != written[k]]
-        return changed.model_copy(update={"changed": tuple(others)}) if written["summaries"] else changed
+        altered = [k for k, v in changed.model_dump().items() if k not in VIEWS and v != written[k]]
+        return changed.model_copy(update={"changed": tuple(altered)}) if written["summaries"] else changed
     if options.draws and not options.draw:
         raise ScenarioError(f"--draws {options.draws}: nothing is drawn, expected --draw NAME=LOW..HIGH")
     if not file and find(name) is None:
@@ -76,7 +76,7 @@ def folder_name(name: str, options: Namespace) -> str:
     draws = [f"{_method(options)}_{_draws(options)}"] if options.draw else []
     draws += [f"draws_{options.draws}"] if options.draws and not options.draw else []
     search = [f"{'max' if options.maximise else 'min'}_{options.search}", *options.subject_to] if options.search else []
-    against = [f"against_{other}" for other in options.against]
+    against = [f"against_{rival}" for rival in options.against]
     parts = [f"study_{name}", *against, *options.grid, *options.draw, *draws, *search]
     parts += [f"{key}_{value}" for key in ("seeds", "duration") if (value := getattr(options, key)) is not None]
     parts += [*options.figures, *options.signals, *(["strict"] if options.strict else [])]

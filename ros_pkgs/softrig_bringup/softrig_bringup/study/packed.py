@@ -51,8 +51,8 @@ def standing_alone(study: Study) -> tuple[Study, dict[str, dict[str, Any]]]:
     if len({*names.values()}) < len(names):
         raise ScenarioError(f"{study.name}: two of its scenarios are called {min(names.values())}; rename one")
     cases = {
-        case: own | ({"scenario": names[own["scenario"]]} if "scenario" in own else {})
-        for case, own in study.cases.items()
+        case: changes | ({"scenario": names[changes["scenario"]]} if "scenario" in changes else {})
+        for case, changes in study.cases.items()
     }
     alone = study.model_copy(update={"scenario": names[study.scenario], "cases": cases})
     return alone, {names[name]: draft.raw for name, draft in drafts.items()}
@@ -92,8 +92,8 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
         return str(file)
 
     cases = {
-        case: own | ({"scenario": place(str(own["scenario"]))} if "scenario" in own else {})
-        for case, own in study.cases.items()
+        case: changes | ({"scenario": place(str(changes["scenario"]))} if "scenario" in changes else {})
+        for case, changes in study.cases.items()
     }
     result = study.model_copy(update={"scenario": place(study.scenario), "cases": cases})
     try:
@@ -108,16 +108,16 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
 
 def differing(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:
     """Name the rows that are not repeated, and the first difference in each."""
-    there: Mapping[int, Row] = {row["number"]: row for row in after}
+    rows: Mapping[int, Row] = {row["number"]: row for row in after}
     for row in before:
-        other = there.get(row["number"])
-        if other is None:
+        repeated = rows.get(row["number"])
+        if repeated is None:
             yield f"row {row['number']} is missing"
             continue
         for key in ("case", "seed", "overrides", "figures", "never"):
-            if row.get(key) != other.get(key):
-                yield f"row {row['number']}: {key} {row.get(key)} there, {other.get(key)} here"
+            if row.get(key) != repeated.get(key):
+                yield f"row {row['number']}: {key} {row.get(key)} there, {repeated.get(key)} here"
                 break
         else:
-            if bool(row["error"]) != bool(other["error"]):
+            if bool(row["error"]) != bool(repeated["error"]):
                 yield f"row {row['number']}: {'broke' if row['error'] else 'ended'} there, not here"

@@ -40,8 +40,8 @@ def units_of(rows: Sequence[Row]) -> dict[str, str]:
     units: dict[str, str] = {}
     for scenario in dict.fromkeys(row["scenario"] for row in rows):
         rig = rig_of(scenario)
-        own = signal_units(rig)
-        units |= {f.name: f.unit for f in figures_of(rig)} | own | {short_name(n, own): u for n, u in own.items()}
+        sig = signal_units(rig)
+        units |= {f.name: f.unit for f in figures_of(rig)} | sig | {short_name(n, sig): u for n, u in sig.items()}
         units |= {f"{m.name}.{d.name}": d.unit for m in rig.members for d in declarations(type(m.params))}
     return units
 
@@ -61,17 +61,17 @@ def best(study: Study, rows: Sequence[Row]) -> list[Row]:
         within = all(beyond(row, name, limits) <= 0.0 for name, limits in search.subject_to.items())
         return within and row["figures"].get(search.figure) is not None
 
-    sure = [own for own in gathered.values() if len(own) == each and all(map(kept, own))]
-    return min(sure, key=lambda own: sign * sum(row["figures"][search.figure] for row in own), default=[])
+    sure = [group for group in gathered.values() if len(group) == each and all(map(kept, group))]
+    return min(sure, key=lambda group: sign * sum(row["figures"][search.figure] for row in group), default=[])
 
 
 def _figures_of(rows: Sequence[Row], name: str) -> str:
     """Return the mean of each figure over some runs, and the number of runs without it."""
     values = [value_of(row, name) for row in rows]
-    there = [v for v in values if math.isfinite(v)]
+    present = [v for v in values if math.isfinite(v)]
     if len(rows) == 1:
         return _figure(rows[0], name)
-    return ", ".join(filter(None, (f"mean {sum(there) / len(there):.6g}" if there else "", absent(values))))
+    return ", ".join(filter(None, (f"mean {sum(present) / len(present):.6g}" if present else "", absent(values))))
 
 
 def _figure(row: Row, name: str) -> str:
@@ -80,7 +80,12 @@ def _figure(row: Row, name: str) -> str:
 
 
 def print_study(
-    study: Study, rows: Sequence[Row], gathered: Sequence[Result], held: Sequence[Finding], over: Statistics, out: Path
+    study: Study,
+    rows: Sequence[Row],
+    gathered: Sequence[Result],
+    claims: Sequence[Finding],
+    over: Statistics,
+    out: Path,
 ) -> None:
     """Print summaries or figures, statistics, notes, the best run, and what broke."""
     console = make_console()
@@ -106,7 +111,7 @@ def print_study(
             console.print(f"the first {MOST} of {len(written.rows)} rows; summaries.json has them all")
     for note in _notes(study, rows, gathered, over):
         console.print(note, soft_wrap=True)
-    for claim in held:
+    for claim in claims:
         if claim.holds is False:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
     winners = best(study, rows)
@@ -127,8 +132,8 @@ def print_study(
 def _notes(study: Study, rows: Sequence[Row], gathered: Sequence[Result], over: Statistics) -> list[str]:
     """Return sentences about the study as a whole."""
     written = any(r.published_for for r in gathered) or (study.claims and study.written)
-    own = f"summaries and claims are not judged: published for {study.written}" if written else ""
-    return [*over.notes, *filter(None, (own, not_judged(rows)))]
+    judging = f"summaries and claims are not judged: published for {study.written}" if written else ""
+    return [*over.notes, *filter(None, (judging, not_judged(rows)))]
 
 
 def _cell(value: Any) -> str:
@@ -141,7 +146,7 @@ def body_of(
     study: Study,
     rows: Sequence[Row],
     gathered: Sequence[Result],
-    held: Sequence[Finding],
+    claims: Sequence[Finding],
     over: Statistics,
     pictures: Sequence[Path],
     units: dict[str, str],
@@ -179,7 +184,7 @@ def body_of(
             e("h2", "Over all runs"),
             table(("Summary", "Published", "Value", "Unit", "Accepted", ""), lines, " nn n "),
         ]
-    if held:
+    if claims:
         lines = [
             (
                 c.text,
@@ -193,7 +198,7 @@ def body_of(
                     e("div", c.reason, class_="note"),
                 ),
             )
-            for c in held
+            for c in claims
         ]
         body += [
             e("h2", "Claims"),
@@ -254,12 +259,12 @@ def _word(study: Study, claim: Finding) -> Element:
 
 
 def _statistics(written: Tabled) -> Element:
-    words = {k for k, head in enumerate(written.heads) if k < written.keys or head == "unit"}
+    left_aligned = {k for k, head in enumerate(written.heads) if k < written.keys or head == "unit"}
     lines = [
         [pretty_unit(c) if head == "unit" else _interval(c) for head, c in zip(written.heads, row, strict=True)]
         for row in written.rows[:LONGEST]
     ]
-    return table(written.heads, lines, "".join(" " if k in words else "n" for k in range(len(written.heads))))
+    return table(written.heads, lines, "".join(" " if k in left_aligned else "n" for k in range(len(written.heads))))
 
 
 def _interval(cell: str) -> Element | str:
@@ -280,8 +285,8 @@ def asked(study: Study) -> str:
     return "; ".join(filter(None, parts))
 
 
-def _span(given: dict[str, Any]) -> str:
-    ((kind, value),) = given.items()
+def _span(distribution: dict[str, Any]) -> str:
+    ((kind, value),) = distribution.items()
     if kind == "choice":
         return f"of {', '.join(map(str, value))}"
     low, high = (in_short(end) for end in value)

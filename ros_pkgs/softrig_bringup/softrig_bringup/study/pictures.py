@@ -88,20 +88,20 @@ def chosen(study: Study, rows: Sequence[Row]) -> list[str]:
 
 def numeric(rows: Sequence[Row]) -> list[str]:
     """Return the parameters that every run has, with more than one value, all of them numbers."""
-    seen: dict[str, list[Any]] = {}
+    values_of: dict[str, list[Any]] = {}
     for row in rows:
         for name, value in row["overrides"].items():
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            seen.setdefault(name, []).append(value if number else None)
+            values_of.setdefault(name, []).append(value if number else None)
     # Parameters that only one case sets have no place on an axis for the others.
-    every = {name: {*values} for name, values in seen.items() if len(values) == len(rows)}
+    every = {name: {*values} for name, values in values_of.items() if len(values) == len(rows)}
     return [name for name, values in every.items() if None not in values and len(values) > 1]
 
 
 def _axes(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
     columns = min(2, count)
     figure = Figure(figsize=(WIDTH, height * -(-count // columns) + 0.6), dpi=DPI)
-    return figure, [figure.add_subplot(place) for place in places(figure, count, columns)]
+    return figure, [figure.add_subplot(cell) for cell in places(figure, count, columns)]
 
 
 def _name(figure: str, units: Mapping[str, str]) -> str:
@@ -124,16 +124,16 @@ def _over(
         groups.setdefault(row["case"], []).append(row)
     most = 1
     for ax, name in zip(axes, names, strict=True):
-        for case, mine in list(groups.items())[:MOST]:
-            named = f"{case}, n = {len(mine)}" if case else None
-            x, y = _columns(mine, parameter, name)
-            at = np.unique(x)
+        for case, members in list(groups.items())[:MOST]:
+            named = f"{case}, n = {len(members)}" if case else None
+            x, y = _columns(members, parameter, name)
+            points = np.unique(x)
             sure = np.isfinite(y)
             if banded:
-                most = max(most, *(int((x == v).sum()) for v in at))
-                middle = np.array([_median(y[x == v]) for v in at])
-                (line,) = ax.plot(at, middle, "o-", markersize=3, label=named)
-                ends = [(v, y[(x == v) & sure]) for v in at if ((x == v) & sure).any()]
+                most = max(most, *(int((x == v).sum()) for v in points))
+                middle = np.array([_median(y[x == v]) for v in points])
+                (line,) = ax.plot(points, middle, "o-", markersize=3, label=named)
+                ends = [(v, y[(x == v) & sure]) for v in points if ((x == v) & sure).any()]
                 ax.fill_between(
                     [v for v, _ in ends],
                     [w.min() for _, w in ends],
@@ -142,11 +142,11 @@ def _over(
                     alpha=0.2,
                     linewidth=0,
                 )
-                for v in at:
+                for v in points:
                     if lost := absent(y[x == v]):
                         _lost(ax, [v], f"{case}: {lost}" if case else lost)
-                if len(at) <= TICKS:
-                    ax.set_xticks(at)
+                if len(points) <= TICKS:
+                    ax.set_xticks(points)
             else:
                 ax.plot(x[sure], y[sure], ".", markersize=3, alpha=0.6, label=named)
                 _lost(ax, x[~sure], "")
@@ -178,14 +178,12 @@ def _median(values: Array) -> float:
 
 def _lost(ax: Axes, x: Sequence[float] | Array, text: str) -> None:
     """Mark the runs without a value at the top of the axes."""
-    for at in x:
-        ax.plot(
-            [at], [0.96], "x", color=LOST, markersize=6, transform=ax.get_xaxis_transform(), clip_on=False, zorder=4
-        )
+    for v in x:
+        ax.plot([v], [0.96], "x", color=LOST, markersize=6, transform=ax.get_xaxis_transform(), clip_on=False, zorder=4)
         if text:
             ax.annotate(
                 text,
-                (at, 0.96),
+                (v, 0.96),
                 (0, -6),
                 xycoords=ax.get_xaxis_transform(),
                 textcoords="offset points",
@@ -205,13 +203,13 @@ def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[s
     figure, axes = _axes(min(MOST, len(groups)), 3.0 if several else 4.5)
     known = [v for row in rows if (v := row["figures"].get(name)) is not None]
     scale = {"cmap": "viridis", "vmin": min(known), "vmax": max(known)}
-    for ax, (case, mine) in zip(axes, groups.items(), strict=False):
-        drawn = _map_of(ax, mine, varied, name, scale)
+    for ax, (case, members) in zip(axes, groups.items(), strict=False):
+        drawn = _map_of(ax, members, varied, name, scale)
         ax.set_xlabel(axis_title(varied[0], units.get(varied[0], "")))
         ax.set_ylabel(axis_title(varied[1], units.get(varied[1], "")))
         if several:
-            lost = absent(value_of(row, name) for row in mine)
-            ax.set_title(f"{case}, {len(mine)} runs" + (f", ×: {lost}" if lost else ""), loc="left", fontsize=9)
+            lost = absent(value_of(row, name) for row in members)
+            ax.set_title(f"{case}, {len(members)} runs" + (f", ×: {lost}" if lost else ""), loc="left", fontsize=9)
     lost = absent(value_of(row, name) for row in rows)
     messages = [f"×: {lost}"] if lost and not several else []
     messages += [f"the first {MOST} of {len(groups)} cases"] if len(groups) > MOST else []
@@ -232,12 +230,12 @@ def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, sca
         mean = np.full((at_y.size, at_x.size), np.nan)
         for i, v in enumerate(at_y):
             for j, u in enumerate(at_x):
-                here = z[(x == u) & (y == v) & sure]
-                mean[i, j] = here.mean() if here.size else np.nan
+                cell = z[(x == u) & (y == v) & sure]
+                mean[i, j] = cell.mean() if cell.size else np.nan
         drawn = ax.pcolormesh(at_x, at_y, mean, shading="nearest", **scale)
-        for set_ticks, at in ((ax.set_xticks, at_x), (ax.set_yticks, at_y)):
-            if len(at) <= TICKS:
-                set_ticks(at)
+        for set_ticks, ticks in ((ax.set_xticks, at_x), (ax.set_yticks, at_y)):
+            if len(ticks) <= TICKS:
+                set_ticks(ticks)
     else:
         drawn = ax.scatter(x[sure], y[sure], c=z[sure], s=8, **scale)
         ax.margins(x=0.03)  # a point at the edge is not cut
@@ -253,16 +251,16 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
     for row in rows:
         groups.setdefault(label(study, row), []).append(row)
     for ax, name in zip(axes, names, strict=True):
-        values = [[v for r in mine if (v := r["figures"].get(name)) is not None] for mine in groups.values()]
-        lost = {group: absent(value_of(row, name) for row in mine) for group, mine in groups.items()}
+        values = [[v for r in members if (v := r["figures"].get(name)) is not None] for members in groups.values()]
+        lost = {group: absent(value_of(row, name) for row in members) for group, members in groups.items()}
         if text := absent(value_of(row, name) for row in rows):
             ax.set_title(text, loc="right", fontsize=9, color=LOST)
         if len(groups) == 1 or (study.draws and len(groups) <= FEW and any(values)):
             edges = np.histogram_bin_edges(np.concatenate(values), min(40, max(8, max(map(len, values)) // 10)))
             several = len(groups) > 1
-            for k, (group, own) in enumerate(zip(groups, values, strict=True)):
-                named = f"{group}, n = {len(own)}" if several else None
-                ax.hist(own, bins=edges.tolist(), color=COLOURS[k], label=named, alpha=0.6 if several else None)
+            for k, (group, sample) in enumerate(zip(groups, values, strict=True)):
+                named = f"{group}, n = {len(sample)}" if several else None
+                ax.hist(sample, bins=edges.tolist(), color=COLOURS[k], label=named, alpha=0.6 if several else None)
             ax.set_xlabel(_name(name, units))
             ax.set_ylabel("Runs")
         else:
@@ -289,12 +287,12 @@ def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> F
         np.array([f(row) for row in rows], float) for f in (lambda r: r["number"], lambda r: value_of(r, search.figure))
     )
     sure = np.isfinite(y)
-    kept = sure & [all(limits.holds(value_of(row, f)) for f, limits in search.subject_to.items()) for row in rows]
-    ax.plot(n[kept], y[kept], ".", markersize=4, alpha=0.5, label="run")
-    if not kept.all():
-        ax.plot(n[sure & ~kept], y[sure & ~kept], "x", markersize=4, alpha=0.5, color=LOST, label="beyond the limits")
+    good = sure & [all(limits.holds(value_of(row, f)) for f, limits in search.subject_to.items()) for row in rows]
+    ax.plot(n[good], y[good], ".", markersize=4, alpha=0.5, label="run")
+    if not good.all():
+        ax.plot(n[sure & ~good], y[sure & ~good], "x", markersize=4, alpha=0.5, color=LOST, label="beyond the limits")
     better = np.minimum if search.aim == "minimise" else np.maximum
-    ax.plot(n[kept], better.accumulate(y[kept]), drawstyle="steps-post", label="best so far")
+    ax.plot(n[good], better.accumulate(y[good]), drawstyle="steps-post", label="best so far")
     if text := absent(value_of(row, search.figure) for row in rows):
         ax.set_title(text, loc="right", fontsize=9, color=LOST)
     ax.set_xlabel("Run")
@@ -338,20 +336,20 @@ def _bands(study: Study, signals: Iterable[Row], units: Mapping[str, str]) -> It
         name = label(study, row)
         if "signals" not in row or (name not in groups and len(groups) >= MOST):
             continue
-        for signal, kept in row["signals"].items():
-            if kept["x"]:
-                groups.setdefault(name, {}).setdefault(signal, []).append(kept)
+        for signal, curves in row["signals"].items():
+            if curves["x"]:
+                groups.setdefault(name, {}).setdefault(signal, []).append(curves)
     for signal in study.signals:
         figure, (ax,) = _axes(1, 3.8)
-        for name, kept in groups.items():
-            mine = [k for k in kept.get(signal, []) if len(k["x"]) == study.samples]
-            if not mine:
+        for name, curves in groups.items():
+            sampled = [k for k in curves.get(signal, []) if len(k["x"]) == study.samples]
+            if not sampled:
                 continue
-            t = np.linspace(0.0, mine[0]["end"], study.samples)
-            low, middle, high = np.quantile([k["x"] for k in mine], (BAND[0], 0.5, BAND[1]), axis=0)
-            share = f"median of {len(mine)}, {BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
-            (line,) = ax.plot(t, middle, label=f"{name}: {share}" if len(mine) > 1 else name)
-            if len(mine) > 1:
+            t = np.linspace(0.0, sampled[0]["end"], study.samples)
+            low, middle, high = np.quantile([k["x"] for k in sampled], (BAND[0], 0.5, BAND[1]), axis=0)
+            share = f"median of {len(sampled)}, {BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
+            (line,) = ax.plot(t, middle, label=f"{name}: {share}" if len(sampled) > 1 else name)
+            if len(sampled) > 1:
                 ax.fill_between(t, low, high, color=line.get_color(), alpha=0.25, linewidth=0)
         ax.set_xlabel(axis_title("Time", "s"))
         ax.set_ylabel(axis_title(quantity(units.get(signal, "")) or "Value", units.get(signal, "")))

@@ -177,7 +177,7 @@ def samples_of(study: Study, rows: Sequence[Row]) -> dict[str, Sample]:
     seeds = len(study.seeds or [0])
     # A sensitivity study has two independent sets of points; the others are mixed of these and would count twice.
     sets = 2 * study.draws.count * seeds if study.draws and study.draws.method == "sensitivity" else None
-    return {group: Sample(own[:sets], seeds) for group, own in _groups(study, rows).items()}
+    return {group: Sample(group_rows[:sets], seeds) for group, group_rows in _groups(study, rows).items()}
 
 
 def _groups(study: Study, rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -230,14 +230,14 @@ def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
             if not all(name in row.get("not_judged", ()) for row in sample.rows):
                 asked[name] = partial(_holds, name)
     for figure, limits in study.require.items():
-        asked[bound_text(figure, limits)] = lambda row, f=figure, of=limits: of.holds(value_of(row, f))  # type: ignore[misc]
+        asked[bound_text(figure, limits)] = lambda row, f=figure, bound=limits: bound.holds(value_of(row, f))  # type: ignore[misc]
     for name, holds in asked.items():
         table = sample.table(holds)
-        held = table[~np.isnan(table).any(axis=1)]
+        sure = table[~np.isnan(table).any(axis=1)]
         # The requirement was judged at no draw by all of its seeds.
-        if not held.size:
+        if not sure.size:
             continue
-        yield Share(group, name, round(held.sum()), held.size, estimate.share(float(held.mean()), len(held)))
+        yield Share(group, name, round(sure.sum()), sure.size, estimate.share(float(sure.mean()), len(sure)))
 
 
 def _holds(name: str, row: Row) -> float:
@@ -247,12 +247,12 @@ def _holds(name: str, row: Row) -> float:
 
 def not_judged(rows: Sequence[Row]) -> str:
     """Describe which requirements do not apply to the runs of a study, and for which machine they are published."""
-    others = [row for row in rows if row.get("not_judged")]
-    names = dict.fromkeys(name for row in others for name in row["not_judged"])
+    unjudged = [row for row in rows if row.get("not_judged")]
+    names = dict.fromkeys(name for row in unjudged for name in row["not_judged"])
     # The longest description is of the machine of which most was changed.
-    machine = max((row["published_for"] for row in others), key=len, default="")
-    text = f"not judged in {len(others)} of {len(rows)} runs: {', '.join(names)}, published for {machine}"
-    return f"{text} (--strict judges them)" if others else ""
+    machine = max((row["published_for"] for row in unjudged), key=len, default="")
+    text = f"not judged in {len(unjudged)} of {len(rows)} runs: {', '.join(names)}, published for {machine}"
+    return f"{text} (--strict judges them)" if unjudged else ""
 
 
 def bound_text(figure: str, limits: Expectation) -> str:
@@ -270,15 +270,15 @@ def _differences(study: Study, samples: Mapping[str, Sample], figure: str, unit:
     for group, sample in samples.items():
         # Cases are compared at equal draws and seeds, which removes their contribution to the spread.
         case = sample.rows[0]["case"]
-        other = samples.get(first + group[len(case) :])
-        if case == first or other is None or len(sample.rows) != len(other.rows) or len(sample.rows) < 2:
+        basis = samples.get(first + group[len(case) :])
+        if case == first or basis is None or len(sample.rows) != len(basis.rows) or len(sample.rows) < 2:
             continue
-        both = [s.table(lambda row: value_of(row, figure), sample.one_run and other.one_run) for s in (sample, other)]
-        own, base = both
-        known = ~(np.isnan(own) | np.isnan(base)).any(axis=1)
-        finite = known & np.isfinite(own).all(axis=1) & np.isfinite(base).all(axis=1)
-        pairs = (own[finite] - base[finite]).mean(axis=1)
-        less = ((own[known] < base[known]) + 0.5 * (own[known] == base[known])).mean(axis=1)
+        both = [s.table(lambda row: value_of(row, figure), sample.one_run and basis.one_run) for s in (sample, basis)]
+        new, base = both
+        known = ~(np.isnan(new) | np.isnan(base)).any(axis=1)
+        finite = known & np.isfinite(new).all(axis=1) & np.isfinite(base).all(axis=1)
+        pairs = (new[finite] - base[finite]).mean(axis=1)
+        less = ((new[known] < base[known]) + 0.5 * (new[known] == base[known])).mean(axis=1)
         if not less.size:
             continue
         from scipy import stats  # a study without cases needs nothing of it, and its import takes 0.3 s
@@ -310,9 +310,9 @@ def _indices(study: Study, rows: Sequence[Row], figures: Sequence[str]) -> Itera
     drawn = [
         name if size(d) == 1 else f"{name}[{k}]" for name, d in study.draws.parameters.items() for k in range(size(d))
     ]
-    for group, own in _groups(study, rows).items():
+    for group, members in _groups(study, rows).items():
         for figure in figures:
-            values = np.array([value_of(row, figure) for row in own], float)
+            values = np.array([value_of(row, figure) for row in members], float)
             if values.size != n * seeds * (len(drawn) + 2) or not np.isfinite(values).all() or not np.ptp(values):
                 continue
             a, b, *mixed = values.reshape(-1, n, seeds).mean(axis=2)
@@ -324,8 +324,8 @@ def _notes(study: Study, samples: Mapping[str, Sample], result: Statistics) -> I
     """Describe what n counts, and the assumptions of the intervals."""
     seeds = len(study.seeds or [0])
     if same := [group for group, sample in samples.items() if sample.one_run]:
-        where = "" if len(same) == len(samples) else f" of {', '.join(same)}"
-        yield f"the {seeds} seeds{where} are one run: its nodes draw no random number that a figure depends on"
+        which_groups = "" if len(same) == len(samples) else f" of {', '.join(same)}"
+        yield f"the {seeds} seeds{which_groups} are one run: its nodes draw no random number that a figure depends on"
     if any(sample.seeds > 1 and not sample.one_run and len(sample.rows) > sample.seeds for sample in samples.values()):
         yield f"n counts draws: the {seeds} seeds of a draw are not independent, and the intervals are those of draws"
     if study.draws and study.draws.method != "random" and result.lines:
@@ -360,6 +360,6 @@ def _needed(result: Statistics, widths: Mapping[str, float]) -> Iterator[str]:
             yield _more(f"{name} of {d.group} less that of {d.base}", d.difference, d.n, n, width)
 
 
-def _more(what: str, now: Estimate, n: int, needed: int, width: float) -> str:
+def _more(text: str, now: Estimate, n: int, needed: int, width: float) -> str:
     more = f"some {needed}, {needed - n} more" if needed > n else "no more"
-    return f"{what}: the interval is {now.high - now.low:.3g} wide after {n}; a width of {width:g} needs {more}"
+    return f"{text}: the interval is {now.high - now.low:.3g} wide after {n}; a width of {width:g} needs {more}"

@@ -48,10 +48,10 @@ def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None
 
 def _column(values: list[Any]) -> list[Any]:
     """Return a column; numbers stay numbers, and vectors or mixed values become text."""
-    kinds = {type(v) for v in values if v is not None}
-    if kinds <= {int, float} and bool not in kinds:
+    types = {type(v) for v in values if v is not None}
+    if types <= {int, float} and bool not in types:
         return [None if v is None else float(v) for v in values]
-    return values if kinds in ({str}, {bool}) else [None if v is None else json.dumps(v) for v in values]
+    return values if types in ({str}, {bool}) else [None if v is None else json.dumps(v) for v in values]
 
 
 def command(row: Row, duration: float | None = None) -> str:
@@ -157,5 +157,5 @@ def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list
 def claims(study: Study, gathered: Sequence[Result]) -> list[Finding]:
     """Compare the claims of a study with its summaries; those of a changed machine stay open."""
     values = {r.name: r.number for r in gathered}
-    held = hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
-    return [claim.model_copy(update={"holds": None}) for claim in held] if study.written else held
+    findings = hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
+    return [claim.model_copy(update={"holds": None}) for claim in findings] if study.written else findings

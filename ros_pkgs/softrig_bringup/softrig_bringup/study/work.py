@@ -150,8 +150,8 @@ def _parting(work: Work) -> str:
     results = [
         (topic.times[k], name)
         for name, topic in first.items()
-        for k, (one, two) in enumerate(zip(topic.data, second[name].data, strict=False))
-        if one != two
+        for k, (first_row, second_row) in enumerate(zip(topic.data, second[name].data, strict=False))
+        if first_row != second_row
     ]
     return f", first on {min(results)[1]} at t = {min(results)[0] / SECOND:.9g} s" if results else ""
 
@@ -164,7 +164,7 @@ def recorded(work: Work, seed: int) -> Mapping[str, Any]:
 
 def _figures(done: Run, work: Work) -> dict[str, Any]:
     done.strict = work.strict
-    judged, others = any(r.judged for r in done.results), [r.name for r in done.results if r.published_for]
+    judged, unjudged = any(r.judged for r in done.results), [r.name for r in done.results if r.published_for]
     wanted = [r for r in done.results if not work.figures or r.name in work.figures]
     missing = set(work.figures) - {r.name for r in wanted}
     if missing:
@@ -176,7 +176,7 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
         "missed": [r.name for r in done.missed],
         # Where nothing was judged there is no verdict, which is neither passed nor failed.
         "passed": not done.missed if judged or done.missed else None,
-        **({"not_judged": others, "published_for": done.published_for} if others else {}),
+        **({"not_judged": unjudged, "published_for": done.published_for} if unjudged else {}),
         **({"signals": sampled} if sampled else {}),
     }
 
@@ -216,5 +216,5 @@ def _sampled(signal: Any, samples: int) -> dict[str, Any]:
     if t.size == 0:
         return {"end": 0.0, "x": []}
     times = np.linspace(t[0], t[-1], samples)
-    held = np.clip(np.searchsorted(t, times, side="right") - 1, 0, t.size - 1)
-    return {"end": float(t[-1]), "x": x[held].tolist()}
+    indices = np.clip(np.searchsorted(t, times, side="right") - 1, 0, t.size - 1)
+    return {"end": float(t[-1]), "x": x[indices].tolist()}

@@ -46,9 +46,9 @@ def _parameters(parsed_args: argparse.Namespace) -> tuple[Iterable[str], dict[st
     from softrig_core.block.params import declarations
     from softrig_core.rig.installed import load_block
 
-    given = vars(parsed_args)
+    options = vars(parsed_args)
     with suppress(ScenarioError):
-        scenario = load_scenario(given.get("scenario") or given.get("study") or given.get("what") or "")
+        scenario = load_scenario(options.get("scenario") or options.get("study") or options.get("what") or "")
         return scenario.shared, {
             name: [d.name for d in declarations(load_block(n.package, n.executable).Params)]
             for name, n in scenario.nodes.items()

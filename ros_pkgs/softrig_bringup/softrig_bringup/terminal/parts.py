@@ -19,9 +19,9 @@ def list_figures(name: str) -> int:
         print(f"{name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")
         print(f"unit: {getattr(function, 'unit', None) or 'as in the scenario'}")
         return 0
-    for one in registered():
-        first = (inspect.getdoc(find(one)) or "").partition("\n")[0]
-        print(f"{one}\t{getattr(find(one), 'unit', None) or ''}\t{first}")
+    for figure in registered():
+        first = (inspect.getdoc(find(figure)) or "").partition("\n")[0]
+        print(f"{figure}\t{getattr(find(figure), 'unit', None) or ''}\t{first}")
     return 0
 
 
@@ -36,8 +36,8 @@ def list_signals(scenario: str) -> int:
     for topic, port in rig.topics.items():
         labels = [f"{topic}/{label}" for label in port.labels]
         for label in labels:
-            member, own = source.get(topic, (None, port))
-            readers = ", ".join(m.name for m, _ in rig.readers(member, own)) if member else ""
+            member, declared = source.get(topic, (None, port))
+            readers = ", ".join(m.name for m, _ in rig.readers(member, declared)) if member else ""
             text = f"{member.name if member else 'outside'} -> {readers or '-'}"
             print(f"{short_name(label, units)}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{text}")
     return 0

@@ -59,12 +59,12 @@ def progress(title: str, duration: float) -> Iterator[OnTick]:
 
 
 @contextmanager
-def busy(what: str) -> Iterator[None]:
+def busy(text: str) -> Iterator[None]:
     """Print a line about the work within the block if it takes longer than `SILENT`."""
     if is_quiet():
         yield
         return
-    timer = threading.Timer(SILENT, print_line, [what])
+    timer = threading.Timer(SILENT, print_line, [text])
     timer.daemon = True  # an error of the work ends the process without waiting for it
     timer.start()
     try:

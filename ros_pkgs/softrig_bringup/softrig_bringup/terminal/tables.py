@@ -49,9 +49,9 @@ def print_judged(console: Console, heads: Sequence[str], rows: Sequence[Sequence
 
 def print_columns(console: Console, heads: Sequence[str], rows: Sequence[Sequence[Cell]], keys: int = 1) -> None:
     """Print a table; columns that do not fit side by side follow below, with the first `keys` repeated."""
-    whole = table_of(heads, rows)
-    if fits(console, whole):
-        console.print(whole)
+    table = table_of(heads, rows)
+    if fits(console, table):
+        console.print(table)
         return
     shown = list(range(keys))
     for k in [*range(keys, len(heads)), None]:
@@ -70,8 +70,8 @@ def _chosen(heads: Sequence[str], rows: Sequence[Sequence[Cell]], columns: Seque
 def _folded(head: str, room: int) -> str:
     """Fold a head at its underscores and dots if the cells below it are narrower."""
     lines = [""]
-    for part in plain(head).replace("_", "_\0").replace(".", ".\0").split("\0"):
-        if lines[-1] and len(lines[-1] + part) > room:
+    for piece in plain(head).replace("_", "_\0").replace(".", ".\0").split("\0"):
+        if lines[-1] and len(lines[-1] + piece) > room:
             lines.append("")
-        lines[-1] += part
+        lines[-1] += piece
     return "\n".join(lines)

@@ -22,20 +22,20 @@ def animate(options: argparse.Namespace) -> int:
     out: Path | None = options.out
     if out is not None and out.suffix[1:] not in FORMS:
         raise ScenarioError(f"{out}: expected a file that ends with .{', .'.join(FORMS)}")
-    made = film_of(options.what, options.start, options.end, options.speed)
-    out = out or Path(f"{made.drawing.rig.scenario.name}.svg")
-    reduced = write(made, out)
-    about = [f"{made.duration:.3g} s", f"{len(made.frames)} frames", f"{out.stat().st_size / 1e6:.2f} MB", reduced]
+    movie = film_of(options.what, options.start, options.end, options.speed)
+    out = out or Path(f"{movie.drawing.rig.scenario.name}.svg")
+    reduced = write(movie, out)
+    about = [f"{movie.duration:.3g} s", f"{len(movie.frames)} frames", f"{out.stat().st_size / 1e6:.2f} MB", reduced]
     print(f"{out}: {', '.join(filter(None, about))}")
     return 0
 
 
-def film_of(what: str, start: float = 0.0, end: float | None = None, speed: float | None = None) -> Film:
+def film_of(source: str, start: float = 0.0, end: float | None = None, speed: float | None = None) -> Film:
     """Create the film of a run or of a scenario.
 
     Parameters
     ----------
-    what : str
+    source : str
         Folder of a run, or name or file of a scenario.
     start, end : float
         s; to the end of the run without `end`.
@@ -47,14 +47,14 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
     ScenarioError
         Nothing to draw, or nothing in that window.
     """
-    if not Path(what).is_dir() and plain(Path(what)).suffix not in SUFFIXES:
-        rig = rig_of(what)
+    if not Path(source).is_dir() and plain(Path(source)).suffix not in SUFFIXES:
+        rig = rig_of(source)
         drawing = _drawing(rig)
         length = rig.scenario.duration
         first, last = _window(start, end, length)
         run = simulate(rig_of(rig, duration=last) if last < length else rig, progress=True)
         return film(drawing, run.signals, first, last, speed)
-    rig, signals = rig_of_run(Path(what))
+    rig, signals = rig_of_run(Path(source))
     drawing = _drawing(rig)
     ends = [float(signals[name].t[-1]) for name in drawing.signals if name in signals and signals[name].t.size]
     return film(drawing, signals, *_window(start, end, max(ends, default=0.0)), speed)
@@ -77,13 +77,13 @@ def _window(start: float, end: float | None, length: float) -> tuple[float, floa
     return start, last
 
 
-def write(made: Film, out: Path) -> str:
+def write(movie: Film, out: Path) -> str:
     """Write a film in the format of the file's extension, complete or not at all; return its reductions."""
     if out.suffix == ".svg":
-        replace(out, animated(made))
+        replace(out, animated(movie))
         return ""
     from ..film.raster import pixels  # pillow
 
-    content, reduced = pixels(made, out.suffix[1:])
+    content, reduced = pixels(movie, out.suffix[1:])
     replace(out, content)
     return reduced

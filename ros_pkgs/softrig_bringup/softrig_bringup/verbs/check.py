@@ -40,10 +40,10 @@ class Judged(NamedTuple):
 def main(options: argparse.Namespace) -> int:
     """Run scenarios in process and judge them; 1 when something does not hold, 2 for bad input, 3 when a run broke."""
     kind = next((name for name in ("claims", "golden") if getattr(options, name)), "")
-    for other, names in OWN.items():
-        if wrong := [name for name in names if other != kind and getattr(options, name)]:
-            of = f"--{other}" if other else "scenarios"
-            raise ScenarioError(f"--{wrong[0].replace('node', 'with')} belongs to `check` of {of}")
+    for option, names in OWN.items():
+        if wrong := [name for name in names if option != kind and getattr(options, name)]:
+            subject = f"--{option}" if option else "scenarios"
+            raise ScenarioError(f"--{wrong[0].replace('node', 'with')} belongs to `check` of {subject}")
     if kind == "claims":
         from ..results import results
 
@@ -82,10 +82,10 @@ def _expectations(options: argparse.Namespace) -> int:
         replace(options.marks, _marks(suites, [o["differs"] for o in outcomes] if options.against else None))
     if options.html is not None:
         write_page(options.html, "check", checked(suites, outcomes, options.against))
-    if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
-        of = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
-        print_line(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
-        return 3 if "broke" in kinds else 2
+    if errors := sorted({outcome["kind"] for outcome in outcomes} - {""}):
+        among = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
+        print_line(f"{among}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
+        return 3 if "broke" in errors else 2
     # a status of 0 would pass a job in which nothing was compared
     if not any(suite.cases for suite in suites):
         print_line(
@@ -95,14 +95,14 @@ def _expectations(options: argparse.Namespace) -> int:
     return 1 if any(suite.failures for suite in suites) else 0
 
 
-def _called(word: str) -> str:
+def _called(name: str) -> str:
     """Name the judged scenario: a file by its path, which distinguishes ``a/task.yaml`` from ``b/task.yaml``."""
-    return word if Path(word).suffix in (".yaml", ".yml") else load_name(word)
+    return name if Path(name).suffix in (".yaml", ".yml") else load_name(name)
 
 
-def load_name(word: str) -> str:
+def load_name(name: str) -> str:
     """Return the name of a scenario; the word itself if there is none."""
-    return locate(word)[0] if find(word) is not None else word
+    return locate(name)[0] if find(name) is not None else name
 
 
 def judge(work: Judged) -> dict[str, Any]:
@@ -128,14 +128,14 @@ def judge(work: Judged) -> dict[str, Any]:
 
 def differing(scenario: Scenario, reference: Scenario) -> list[str]:
     """Name the differences of a scenario from another one, except measurements and expectations."""
-    here, there = (dict(_leaves("", s.model_dump(mode="json", include={*COMPARED}))) for s in (scenario, reference))
-    return sorted(name for name in here.keys() | there.keys() if here.get(name) != there.get(name))
+    a, b = (dict(_leaves("", s.model_dump(mode="json", include={*COMPARED}))) for s in (scenario, reference))
+    return sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name))
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
-        for key, part in value.items():
-            yield from _leaves(f"{name}.{key}" if name else str(key), part)
+        for key, item in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), item)
     else:
         yield name, value
 
@@ -148,14 +148,14 @@ def _marks(suites: Sequence[Suite], differs: Sequence[Sequence[str]] | None) -> 
     heads = {name: f"{name} ({unit})" if unit else name for name, unit in units.items()}  # numbers stay numbers
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    judged = (part for name, head in heads.items() for part in (head, f"{name} holds"))
+    judged = (cell for name, head in heads.items() for cell in (head, f"{name} holds"))
     writer.writerow(["scenario", "held", "judged", *judged, *([] if differs is None else ["differs"]), "error"])
     for suite, names in zip(suites, differs or [()] * len(suites), strict=True):
         cases = {case.name: case for case in suite.cases}
-        held = [name for name, case in cases.items() if not case.failure]
-        cells = [part for n in heads for part in ((_cell(cases[n]), int(n in held)) if n in cases else ("", ""))]
-        other = [] if differs is None else [" ".join(names)]
-        writer.writerow([suite.name, len(held), len(cases), *cells, *other, suite.error])
+        holding = [name for name, case in cases.items() if not case.failure]
+        cells = [cell for n in heads for cell in ((_cell(cases[n]), int(n in holding)) if n in cases else ("", ""))]
+        differing_names = [] if differs is None else [" ".join(names)]
+        writer.writerow([suite.name, len(holding), len(cases), *cells, *differing_names, suite.error])
     return text.getvalue()
 
 
@@ -195,6 +195,6 @@ def _measured(result: Result) -> str:
 
 
 def _missed(result: Result) -> str:
-    where = f"; violated {spans(result.violated_s)}" if result.violated_s else ""
+    intervals = f"; violated {spans(result.violated_s)}" if result.violated_s else ""
     value = "never" if result.error == NEVER else _measured(result)
-    return f"{value}, expected {accepted(result)} {result.unit}".rstrip() + where
+    return f"{value}, expected {accepted(result)} {result.unit}".rstrip() + intervals

@@ -109,9 +109,9 @@ def _run_and_view(verb: Verb) -> None:
         help="name of a run, in their order (default: its own, or its folder)",
     )
     draw = verb("draw", "cli:main", "pictures of a run for a paper, its plant in motion, layouts for other viewers")
-    kinds = draw.add_subparsers(required=True, metavar="WHAT")
+    drawings = draw.add_subparsers(required=True, metavar="WHAT")
     text = "pictures of a run that is over, for a paper: size, letters, data"
-    plot = verb("plot", "verbs.plot_verb:main", text, kinds)
+    plot = verb("plot", "verbs.plot_verb:main", text, drawings)
     plot.add_argument(
         "what",
         nargs="+",
@@ -135,7 +135,9 @@ def _run_and_view(verb: Verb) -> None:
     plot.add_argument("--no-title", action="store_true", help="as figures of a paper have their captions")
     plot.add_argument("--window", type=Number(float, -1e9, 1e9), nargs=2, metavar=("FROM", "TO"), help="s")
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, with units in the header")
-    animate = verb("animate", "verbs.animate:animate", "a run's plant in motion: a short SVG, GIF, WebP or PNG", kinds)
+    animate = verb(
+        "animate", "verbs.animate:animate", "a run's plant in motion: a short SVG, GIF, WebP or PNG", drawings
+    )
     animate.add_argument(
         "what",
         metavar="RUN|SCENARIO",
@@ -159,7 +161,7 @@ def _run_and_view(verb: Verb) -> None:
         help="simulated seconds in one of film (default: 4 to 8 s of film)",
     )
     text = "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"
-    layouts = verb("layouts", "verbs.layouts:layouts", text, kinds)
+    layouts = verb("layouts", "verbs.layouts:layouts", text, drawings)
     layouts.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     layouts.add_argument("--out", type=Path, default=Path("layouts"), metavar="DIR", help="they go here (layouts)")
     listed = verb("list", "verbs.list_verb:main", "scenarios by system, with duration and title; signals, figures")
@@ -326,9 +328,9 @@ def _judge(verb: Verb) -> None:
         metavar="SCENARIO",
         help="names or files; with --claims systems or shipped scenarios",
     )
-    kinds = check.add_mutually_exclusive_group()
-    kinds.add_argument("--claims", action="store_true", help="every claim of the papers (all systems if none is named)")
-    kinds.add_argument("--golden", action="store_true", help="golden bags, see `golden` (all if none is named)")
+    group = check.add_mutually_exclusive_group()
+    group.add_argument("--claims", action="store_true", help="every claim of the papers (all systems if none is named)")
+    group.add_argument("--golden", action="store_true", help="golden bags, see `golden` (all if none is named)")
     check.add_argument(
         "--against",
         default="",
@@ -353,11 +355,11 @@ def _judge(verb: Verb) -> None:
         "--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="another length of the golden run"
     )
     golden.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="another seed")
-    for parser, of in ((check, "of --golden: "), (golden, "")):
+    for parser, prefix in ((check, "of --golden: "), (golden, "")):
         parser.add_argument(
-            "--with", dest="node", metavar="NODE", help=f"{of}only scenarios with a node of this name or executable"
+            "--with", dest="node", metavar="NODE", help=f"{prefix}only scenarios with a node of this name or executable"
         )
-        parser.add_argument("--bags", type=Path, metavar="DIR", help=f"{of}where they are (bags)")
+        parser.add_argument("--bags", type=Path, metavar="DIR", help=f"{prefix}where they are (bags)")
     check.add_argument("--workers", type=Number(int, 1, 1000), metavar="N", help="processes (default: all cores)")
     check.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
     check.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")

@@ -119,9 +119,9 @@ class Golden:
         first = Signals(self.rerun())
         largest: dict[str, float] = {}
         for bits in (4.0, -4.0):
-            other = Signals(self.shaken(bits))
+            shaken = Signals(self.shaken(bits))
             for name in first:
-                a, b = first[name].x, other[name].x
+                a, b = first[name].x, shaken[name].x
                 if a.size and a.size == b.size:
                     topic = topic_of(name, self.rig.topics)
                     largest[topic] = max(largest.get(topic, 0.0), float(np.nanmax(np.abs(a - b), initial=0.0)))
@@ -134,10 +134,10 @@ class Golden:
     @property
     def others(self) -> dict[str, tuple[str, str]]:
         """Return the settings that affect the bits and differ from the recording: name to the value there and here."""
-        now, there = versions(), self.recipe.made_with
-        pairs = {name: (there.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
+        now, recorded = versions(), self.recipe.made_with
+        pairs = {name: (recorded.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
         if not all(STEADY.match(member.block_class.__module__) for member in self.rig.members):
-            python = there.get("python", "unknown"), now["python"]
+            python = recorded.get("python", "unknown"), now["python"]
             pairs |= {"python": python} if _era(python[0]) != _era(python[1]) else {}
         return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
@@ -155,7 +155,7 @@ class Golden:
 
     @property
     def _differing(self) -> str:
-        return ", ".join(f"{name} {there} there, {here} here" for name, (there, here) in self.others.items())
+        return ", ".join(f"{name} {recorded} there, {now} here" for name, (recorded, now) in self.others.items())
 
     def check(self) -> tuple[Comparison, str]:
         """Run the scenario again and compare; return the comparison and a description of the agreement.
@@ -167,8 +167,8 @@ class Golden:
         result = self.compare(new, old=old)
         same = result.equal and self.others and self.compare(new, elsewhere=False, old=old).equal
         how = f"byte for byte, with {self._differing}" if same else self.how
-        held = {topic.topic for topic in result.topics}
-        further = [topic for topic in new.topics if topic not in held]
+        recorded = {topic.topic for topic in result.topics}
+        further = [topic for topic in new.topics if topic not in recorded]
         return result, how + (f"; not in the bag: {', '.join(further)}" if further else "")
 
     def compare(
@@ -212,13 +212,13 @@ class Golden:
         member = next(m for m in self.rig.members if m.name == node)
         recording = self.recording()
         answers = feed(member, self.recipe.seed, recording)
-        held = [topic for topic in answers.topics if topic in recording.topics]
-        if answers.topics and not held:
+        shared = [topic for topic in answers.topics if topic in recording.topics]
+        if answers.topics and not shared:
             raise ScenarioError(
                 f"{self.folder}: the bag holds no topic of {node} ({', '.join(answers.topics)}); record it again by "
                 f"`softrig golden {self.folder.name}`"
             )
-        return self.compare(answers, held, old=recording)
+        return self.compare(answers, shared, old=recording)
 
     def make(self, differing: bool = False) -> Comparison | None:
         """Write the golden bag again; returns the comparison of the new with the old, if there was one.
@@ -258,15 +258,15 @@ def _era(python: str) -> int:
     return sum((int(match[1]), int(match[2])) >= era for era in ERAS) if match else -1
 
 
-def line(others: Iterable[str]) -> str:
+def line(names: Iterable[str]) -> str:
     """Describe which row of the table in doc/bits.md this machine belongs to.
 
     Parameters
     ----------
-    others : iterable of str
+    names : iterable of str
         What is not as it was when golden bags were made: `Golden.others` of all of them.
     """
-    differ = set(others)
+    differ = set(names)
     if "machine" in differ:
         return "another architecture"
     if "math" in differ:
@@ -284,9 +284,9 @@ def _ours(bag: Path) -> None:
     ScenarioError
         Names what is not of a bag.
     """
-    other = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
-    if bag.is_symlink() or other or (bag.exists() and not bag.is_dir()):
-        raise ScenarioError(f"{other[0] if other else bag} was not made by `softrig golden`; move it away")
+    foreign = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
+    if bag.is_symlink() or foreign or (bag.exists() and not bag.is_dir()):
+        raise ScenarioError(f"{foreign[0] if foreign else bag} was not made by `softrig golden`; move it away")
 
 
 def _allowed(rig: Rig, name: str, value: float) -> bool:
@@ -385,16 +385,16 @@ def check(options: argparse.Namespace) -> int:
     suites, content = [], []
     elsewhere: set[str] = set()
     works: list[_Work] = [(folder / name, recipe, {}, True, False) for name, recipe in recipes.items()]
-    for row, _, others in sweep(_one, works, title="golden bags", workers=options.workers):
+    for row, _, settings in sweep(_one, works, title="golden bags", workers=options.workers):
         _print_row(folder, row)
         length = f"{row['duration_s']:g} s"
         suites.append(Suite(row["bag"], row["wall_s"], [Case("bag", row["differs"], length)]))
         content.append(row)
-        elsewhere |= others
+        elsewhere |= settings
     write_reports(options.junit, suites, options.json, content)
     now = versions()
-    here = f"{now['machine']}, CPython {now['python']}, {now.get('libc') or 'unknown C library'}, math {now['math']}"
-    print(f'{here}: in bits.md the line "{line(elsewhere)}"')
+    host = f"{now['machine']}, CPython {now['python']}, {now.get('libc') or 'unknown C library'}, math {now['math']}"
+    print(f'{host}: in bits.md the line "{line(elsewhere)}"')
     return 0 if all(row["pass"] for row in content) else 1
 
 
@@ -428,19 +428,19 @@ def _print_row(folder: Path, row: dict[str, Any], new: bool = False) -> None:
 def _with(node: str, folder: Path, recipes: Mapping[str, Recipe | None]) -> dict[str, Recipe | None]:
     """Return the golden bags whose scenario has a node of this name or executable."""
     nodes = {name: load_scenario(recipe.scenario).nodes for name, recipe in recipes.items() if recipe is not None}
-    known = {name: {*of, *(entry.executable for entry in of.values())} for name, of in nodes.items()}
-    if not (results := {name: recipes[name] for name, words in known.items() if node in words}):
-        there = ", ".join(sorted(set().union(*known.values())))
-        raise ScenarioError(f"golden --with {node}: no node or executable of that name in {folder}; there are {there}")
+    known = {name: {*entries, *(entry.executable for entry in entries.values())} for name, entries in nodes.items()}
+    if not (results := {name: recipes[name] for name, names in known.items() if node in names}):
+        listed = ", ".join(sorted(set().union(*known.values())))
+        raise ScenarioError(f"golden --with {node}: no node or executable of that name in {folder}; there are {listed}")
     return results
 
 
 def _one(work: _Work) -> tuple[dict[str, Any], bool, set[str]]:
-    """Create or check a golden bag; return its outcome, whether there was none before, and its `others`."""
+    """Create or check a golden bag; return its outcome, whether there was none before, and its `settings`."""
     started = time.perf_counter()
     folder, recipe, changes, check, differing = work
     golden = Golden(folder, recipe, _rig(recipe)) if recipe is not None else create(folder, folder.name, **changes)
-    how, others = golden.how if golden.bag.exists() else "", set(golden.others)
+    how, settings = golden.how if golden.bag.exists() else "", set(golden.others)
     result: Comparison | None
     try:
         with nullcontext() if check else alone_in(folder):
@@ -463,5 +463,5 @@ def _one(work: _Work) -> tuple[dict[str, Any], bool, set[str]]:
             "wall_s": round(time.perf_counter() - started, 3),
         },
         result is None,
-        others,
+        settings,
     )

@@ -28,9 +28,9 @@ _STREAM = "ROS2 Topic Subscriber"
 
 def layouts(options: argparse.Namespace) -> int:
     """Write the files; returns the exit status."""
-    made = {name: text for scenario in options.scenarios for name, text in files(rig_of(scenario)).items()}
+    texts = {name: text for scenario in options.scenarios for name, text in files(rig_of(scenario)).items()}
     options.out.mkdir(parents=True, exist_ok=True)
-    for name, text in made.items():
+    for name, text in texts.items():
         replace(options.out / name, text)
         print(options.out / name)
     return 0
@@ -88,8 +88,8 @@ def _plots(rig: Rig) -> Iterator[Plotted]:
     for entry in rig.scenario.plots:
         rows: dict[str, dict[str, str]] = {}
         for name, label in entry.signals.items():
-            for part in name.split(" - ", 1):
-                rows.setdefault(units[part], {}).setdefault(part, label if part == name else "")
+            for signal in name.split(" - ", 1):
+                rows.setdefault(units[signal], {}).setdefault(signal, label if signal == name else "")
         for unit, row in rows.items():
             topics = {name: topic_of(name, rig.topics) for name in row}
             curves = tuple((t, rig.topics[t], name[len(t) + 1 :], row[name]) for name, t in topics.items())
@@ -131,11 +131,11 @@ def _foxglove(plots: Sequence[Plotted], rig: Rig) -> str:
         panels["3D!robot"] = {"followTf": scene.base, "topics": {"/robot_description": {"visible": True}}}
     for number, plot in enumerate(plots, 1):
         paths = [_path(topic, port, label, text, plot.unit) for topic, port, label, text in plot.curves]
-        own: dict[str, Any] = {"xAxisVal": "timestamp"}
+        axis: dict[str, Any] = {"xAxisVal": "timestamp"}
         if plot.over:
             topic, port, *_ = plot.curves[0]
             over = _path(topic, port, plot.over, "", "")
-            own = {"xAxisVal": "custom", "xAxisPath": {"value": over["value"], "enabled": True}}
+            axis = {"xAxisVal": "custom", "xAxisPath": {"value": over["value"], "enabled": True}}
         panels[f"Plot!plot{number:02d}"] = {
             "title": plot.title,
             "foxglovePanelTitle": plot.title,
@@ -145,16 +145,16 @@ def _foxglove(plots: Sequence[Plotted], rig: Rig) -> str:
             "showLegend": True,
             "legendDisplay": "floating",
             "isSynced": True,
-            **own,
+            **axis,
         }
-    whole = {
+    layout = {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
         "layout": _arranged(list(panels)),
     }
-    return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(layout, indent=1, ensure_ascii=False) + "\n"
 
 
 def _arranged(names: Sequence[str]) -> Any:

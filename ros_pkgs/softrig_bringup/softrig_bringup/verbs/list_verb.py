@@ -32,19 +32,19 @@ def main(options: argparse.Namespace) -> int:
     return parts.list_figures(options.figures)
 
 
-def list_scenarios_of(part: str) -> int:
+def list_scenarios_of(text: str) -> int:
     """Print the scenarios with a text in their name or system; 1 if there are none, 2 if files are not scenarios.
 
     On a terminal variants of variants are folded unless a text is given.
     """
     broken: list[ScenarioError] = []
     scenarios = listed(broken)
-    for what in broken:
-        print_line(what)
-    chosen = [s for s in scenarios if part in s.name or part in s.system]
-    if part and not chosen:
-        near = closest(part, {word for s in scenarios for word in (s.name, s.system)})
-        print_line(f"nothing matches {part!r}{near}; softrig list shows all {len(scenarios)} scenarios")
+    for error in broken:
+        print_line(error)
+    chosen = [s for s in scenarios if text in s.name or text in s.system]
+    if text and not chosen:
+        near = closest(text, {name for s in scenarios for name in (s.name, s.system)})
+        print_line(f"nothing matches {text!r}{near}; softrig list shows all {len(scenarios)} scenarios")
         return 2 if broken else 1
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         for s in chosen:
@@ -54,7 +54,7 @@ def list_scenarios_of(part: str) -> int:
 
     show = console()
     for system in sorted({s.system for s in chosen}):
-        show.print(_tree(system, [s for s in chosen if s.system == system], FOLDED if not part else len(chosen)))
+        show.print(_tree(system, [s for s in chosen if s.system == system], FOLDED if not text else len(chosen)))
     return 2 if broken else 0
 
 
@@ -72,7 +72,7 @@ def _tree(system: str, scenarios: list[Listed], depth: int) -> Tree:
             branches.pop()
         if len(branches) > depth:
             continue
-        below = sum(other.name.startswith(f"{s.name}_") for other in scenarios) if len(branches) == depth else 0
+        below = sum(variant.name.startswith(f"{s.name}_") for variant in scenarios) if len(branches) == depth else 0
         more = [f"{below} variant{'s' if below > 1 else ''}: list {s.name}"] if below else []
         facts = ", ".join([f"{s.duration:g} s", *_last_duration(s.name), *more])
         label = styled(f"{s.name}  ", (facts, "dim"), f"  {s.title}")

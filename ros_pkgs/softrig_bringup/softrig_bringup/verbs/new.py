@@ -58,19 +58,19 @@ def command() -> str:
     return shlex.quote(os.environ.get("SOFTRIG_COMMAND") or "softrig")
 
 
-def first(place: str) -> str:
+def first(package: str) -> str:
     """Return the beginning of a command that uses the package in a relative folder; a wheel finds installed
     packages.
     """
-    folder = place if place.startswith((".", "/")) else f"./{place}"
-    return f"{command()} --workspace {place}" if _checkout() else f"pip install {folder} && softrig"
+    folder = package if package.startswith((".", "/")) else f"./{package}"
+    return f"{command()} --workspace {package}" if _checkout() else f"pip install {folder} && softrig"
 
 
 def _checkout() -> bool:
     return "SOFTRIG_COMMAND" in os.environ
 
 
-def new_package(name: str, parent: Path, kind: str = "both", of: Replaced | None = None) -> Path:
+def new_package(name: str, parent: Path, kind: str = "both", swap: Replaced | None = None) -> Path:
     """Write a package.
 
     Parameters
@@ -81,7 +81,7 @@ def new_package(name: str, parent: Path, kind: str = "both", of: Replaced | None
         The folder in which its own folder is made.
     kind : str
         ``both``, ``law``, ``for`` or ``plant``; see `KINDS`.
-    of : Replaced, optional
+    swap : Replaced, optional
         Of kind ``for``: what it replaces.
 
     Returns
@@ -95,40 +95,40 @@ def new_package(name: str, parent: Path, kind: str = "both", of: Replaced | None
         Not a name for a package, one that is taken by a package or a scenario, or a folder that is there already.
     """
     folder = folder_of(name, parent)
-    made = KINDS[kind]
+    form = KINDS[kind]
     files_of = (
-        FILES | made.files | {f"{kind}_scenario.yaml": "scenarios/$name.yaml", f"{kind}_test.py": "test/test_$name.py"}
+        FILES | form.files | {f"{kind}_scenario.yaml": "scenarios/$name.yaml", f"{kind}_test.py": "test/test_$name.py"}
     )
-    modules = [Path(place).stem for place in made.files.values()]
+    modules = [Path(target).stem for target in form.files.values()]
     values = {
         "name": name,
         "softrig": command(),
         "first": first("."),
         "remembered": REMEMBERED if _checkout() else "",
         "colcon": f"{command()} env colcon" if _checkout() else "colcon",
-        "What": made.what.capitalize(),
+        "What": form.what.capitalize(),
         "modules": ", ".join(f"`{name}/{module}.py`" for module in modules),
         "executables": "\n".join(
             f"    {name}_{module} = {name}.{module}:{CLASSES[module]}.main" for module in sorted(modules)
         ),
         "executable": f"{name}_{modules[0]}",
-        "change": Template(made.change).substitute(name=name),
+        "change": Template(form.change).substitute(name=name),
     }
-    depends = made.depends
-    if of is not None:
-        depends = (of.package,)
-        values |= {"change": of.change, **of.values}
+    depends = form.depends
+    if swap is not None:
+        depends = (swap.package,)
+        values |= {"change": swap.change, **swap.values}
     values["depends"] = "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in depends)
     source = files("softrig_bringup") / "template"
     texts = {
-        Template(to).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
-        for file, to in files_of.items()
+        Template(path).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
+        for file, path in files_of.items()
     }
     try:
-        for to, text in texts.items():
-            _write(folder / to, text.substitute(values))
-        for to in EMPTY:
-            _write(folder / Template(to).substitute(values), "")
+        for path, text in texts.items():
+            _write(folder / path, text.substitute(values))
+        for path in EMPTY:
+            _write(folder / Template(path).substitute(values), "")
     except OSError:
         rmtree(folder, ignore_errors=True)  # which was not there before
         raise
@@ -148,8 +148,8 @@ def folder_of(name: str, parent: Path) -> Path:
     used = name in sys.stdlib_module_names or keyword.iskeyword(name) or name == "test"
     if used or any(importlib.metadata.distributions(name=name)):
         raise ScenarioError(f"package name {name!r}: taken by a Python package that is installed here")
-    if (there := find(name)) is not None:
-        raise ScenarioError(f"package name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")
+    if (clash := find(name)) is not None:
+        raise ScenarioError(f"package name {name!r}: `run {name}` is a scenario already ({clash.name}); choose another")
     folder = parent / name
     if folder.exists() or folder.is_symlink():
         raise ScenarioError(f"{folder} is there already; choose another name or --into DIR")
@@ -185,18 +185,18 @@ def main(options: argparse.Namespace) -> int:
         return _in_place_of(options)
     folder = new_package(options.name, options.into, options.only or "both")
     shown = shlex.quote(os.path.relpath(folder))
-    others = "; `--only law` or `--only plant` writes that alone" if not options.only else ""
-    print(f"wrote {shown}: {KINDS[options.only or 'both'].what}, a scenario, tests, README.md{others}; now:")
+    hint = "; `--only law` or `--only plant` writes that alone" if not options.only else ""
+    print(f"wrote {shown}: {KINDS[options.only or 'both'].what}, a scenario, tests, README.md{hint}; now:")
     print(f"  {first(shown)} run {options.name}")
     return 0
 
 
 def _in_place_of(options: argparse.Namespace) -> int:
     """Write a controller that replaces the one of a scenario."""
-    of = replaced(options.scenario, options.name)
-    shown = shlex.quote(os.path.relpath(new_package(options.name, options.into, "for", of)))
-    scenario, node = of.values["extended"], of.values["node"]
-    others = f"; others: {', '.join(f'`--for {scenario}/{other}`' for other in of.others)}" if of.others else ""
-    print(f"wrote {shown}: a controller in place of {node} of {scenario}, a scenario, tests, README.md{others}; now:")
+    swap = replaced(options.scenario, options.name)
+    shown = shlex.quote(os.path.relpath(new_package(options.name, options.into, "for", swap)))
+    scenario, node = swap.values["extended"], swap.values["node"]
+    more = f"; others: {', '.join(f'`--for {scenario}/{name}`' for name in swap.others)}" if swap.others else ""
+    print(f"wrote {shown}: a controller in place of {node} of {scenario}, a scenario, tests, README.md{more}; now:")
     print(f"  {first(shown)} run {options.name} --mode inprocess")
     return 0

@@ -82,22 +82,22 @@ def main(options: argparse.Namespace) -> int:
     with TemporaryDirectory(prefix="softrig_pack_") as aside:
         packed = collect(options.run, Path(aside), bag=not options.no_bag)
         out = _written(packed, options)
-    own = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
+    code = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
     bag = "its bag" if not options.no_bag else f"digests of {len(packed.about.digests)} topics in place of its bag"
     print(
-        f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([packed.about.scenario, bag, *own])}; elsewhere:"
+        f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([packed.about.scenario, bag, *code])}; elsewhere:"
     )
-    print(f"  scripts/softrig run --like {out.name}{' --trust' if own or packed.natives else ''}")
+    print(f"  scripts/softrig run --like {out.name}{' --trust' if code or packed.natives else ''}")
     return _signed(packed, out, options)
 
 
 def _pack_study(options: argparse.Namespace) -> int:
     packed, rows = collect_study(options.run)
     out = _written(packed, options, ".study")
-    own = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
-    what = ", ".join([f"{rows} row{'s' * (rows != 1)}", *own])
-    print(f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {what}; elsewhere:")
-    print(f"  scripts/softrig study --like {out.name}{' --trust' if own else ''}")
+    code = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
+    contents = ", ".join([f"{rows} row{'s' * (rows != 1)}", *code])
+    print(f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {contents}; elsewhere:")
+    print(f"  scripts/softrig study --like {out.name}{' --trust' if code else ''}")
     return _signed(packed, out, options)
 
 
@@ -143,7 +143,7 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
     for name, raw in scenarios.items():
         text, files_of = raw_alone(raw)
         files[f"{SCENARIO}/{name}.yaml"] = text
-        files |= {f"{SCENARIO}/{place}": path for place, path in files_of.items()}
+        files |= {f"{SCENARIO}/{target}": path for target, path in files_of.items()}
     files |= {f"{STUDY}/{FILE}": saved(alone).encode(), f"{STUDY}/{ROWS}": rows_alone(rows)}
     table = [folder / name for name in ("statistics.csv", "summaries.json") if (folder / name).is_file()]
     files |= {f"{STUDY}/{path.name}": path for path in table}
@@ -204,29 +204,29 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
         scenario = repeated(scenario, before)
     text, files_of = standing_alone(scenario)
     files[f"{SCENARIO}/{scenario.name}.yaml"] = text
-    files |= {f"{SCENARIO}/{place}": path for place, path in files_of.items()}
+    files |= {f"{SCENARIO}/{bag_path}": path for bag_path, path in files_of.items()}
     if citations := content.get("citations"):
         files[f"{SCENARIO}/{REFERENCES}"] = "\n\n".join(c["bibtex"] for c in citations).encode()
-    made = {"command": f"softrig run --like {scenario.name}{SUFFIX}"}
+    command = {"command": f"softrig run --like {scenario.name}{SUFFIX}"}
     if content:
-        files[METRICS] = (json.dumps(_elsewhere(content, made), indent=1) + "\n").encode()
+        files[METRICS] = (json.dumps(_elsewhere(content, command), indent=1) + "\n").encode()
     if bag:
-        place = _retold(before, aside, made) or before.bag
-        places = [place] if place.is_file() else sorted(f for f in place.iterdir() if f.is_file())
-        files |= {f"{BAG}/{file.name}": file for file in places}
+        bag_path = _retold(before, aside, command) or before.bag
+        bag_files = [bag_path] if bag_path.is_file() else sorted(f for f in bag_path.iterdir() if f.is_file())
+        files |= {f"{BAG}/{file.name}": file for file in bag_files}
     return _Pack(files | sources, message, _lacks(message), runs_code(scenario))
 
 
 def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Path]]:
     """Return the entries of `About` for the packages outside softrig, and the files of these packages."""
-    own = [name for name in code if not is_ours(name)]
-    sources = {name: _sources(name) for name in own}
+    foreign = [name for name in code if not is_ours(name)]
+    sources = {name: _sources(name) for name in foreign}
     files: dict[str, bytes | Path] = {}
     for name, folder in sources.items():
         files |= {f"{PACKAGES}/{name}/{file.relative_to(folder)}": file for file in _files(folder)} if folder else {}
     messages = {
-        "packages": {name: _version(name) for name in own},
-        "offers": {name: _offers(name) for name in own if sources[name]},
+        "packages": {name: _version(name) for name in foreign},
+        "offers": {name: _offers(name) for name in foreign if sources[name]},
     }
     return messages, files
 
@@ -235,22 +235,22 @@ def _lacks(text: About) -> tuple[str, ...]:
     return tuple(name for name in text.packages if name not in text.offers)
 
 
-def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str, Any]:
+def _elsewhere(content: Mapping[str, Any], command: Mapping[str, str]) -> dict[str, Any]:
     """Return the metadata of a run for readers on other machines: without folders of this machine."""
-    reported: dict[str, Any] = placeless({**content, **made})
+    reported: dict[str, Any] = placeless({**content, **command})
     if "from" in reported:
-        reported["from"] |= made
+        reported["from"] |= command
     return reported
 
 
-def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | None:
+def _retold(before: Recalled, aside: Path, command: Mapping[str, str]) -> Path | None:
     """Write the bag of a run without paths of this machine; None if the bag names none."""
     messages = {
         key: json_of(text) if key in ("from", "branched") else text for key, text in before.bag_metadata.items()
     }
     if "command" not in messages:
         return None
-    entries = {k: v if isinstance(v, str) else json.dumps(v) for k, v in _elsewhere(messages, made).items()}
+    entries = {k: v if isinstance(v, str) else json.dumps(v) for k, v in _elsewhere(messages, command).items()}
     retell(before.bag, aside / BAG, entries)
     return aside / BAG
 
@@ -260,7 +260,7 @@ def _described(packed: _Pack, publication: Publication) -> _Pack:
     message, files = packed.about, packed.files
     verb = "study" if f"{STUDY}/{FILE}" in files else "run"
     text = f"A {verb} of {message.scenario}: `softrig {verb} --like FILE` repeats it number for number."
-    sums = {place: _sha256(content) for place, content in files.items()}
+    sums = {name: _sha256(content) for name, content in files.items()}
     described = crate(message.scenario, text, message.versions, files, sums, publication)
     return packed._replace(files={**files, CRATE: described})
 
@@ -273,17 +273,17 @@ def write(packed: _Pack, out: Path) -> None:
     ScenarioError
         It would be larger than the limit for unpacking.
     """
-    listed = {place: _sha256(content) for place, content in packed.files.items()}
+    listed = {name: _sha256(content) for name, content in packed.files.items()}
     about = packed.about.model_copy(update={"files": listed})
     files: dict[str, bytes | Path] = {ABOUT: about.model_dump_json(indent=1).encode() + b"\n", **packed.files}
     size = sum(len(c) if isinstance(c, bytes) else c.stat().st_size for c in files.values())
     if len(files) > FILES or size > MOST:
         raise ScenarioError(f"{len(files)} files of {size} bytes in all, expected at most {FILES} of {MOST}; --no-bag?")
-    part = out.with_name(f".{out.name}.{os.getpid()}.part")
+    partial = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
-        with naming(out), zipfile.ZipFile(part, "w") as archive:
-            for place, content in files.items():
-                entry = zipfile.ZipInfo(place)  # of 1980: a file's own time would make every pack another
+        with naming(out), zipfile.ZipFile(partial, "w") as archive:
+            for name, content in files.items():
+                entry = zipfile.ZipInfo(name)  # of 1980: a file's own time would make every pack another
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
                 with archive.open(entry, "w", force_zip64=True) as into:
                     if isinstance(content, bytes):
@@ -292,9 +292,9 @@ def write(packed: _Pack, out: Path) -> None:
                     with content.open("rb") as file:
                         while block := file.read(1 << 20):
                             into.write(block)
-        part.replace(out)
+        partial.replace(out)
     finally:
-        part.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
 
 
 def _sha256(content: bytes | Path) -> str:
@@ -335,13 +335,13 @@ def _known_of_run(bag: Path) -> dict[str, Any]:
 
 def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:
     """Refuse a run whose scenario, parameter file or package has changed since."""
-    then = content.get("parameters", {})
+    recorded = content.get("parameters", {})
     for member in rig.members:
         now = json.loads(json.dumps(flatten(member.params)))
-        for name, value in now.items() if member.name in then and not member.external else ():
-            if then[member.name].get(name, value) != value:
+        for name, value in now.items() if member.name in recorded and not member.external else ():
+            if recorded[member.name].get(name, value) != value:
                 raise ScenarioError(
-                    f"{run}: it ran with {member.name}.{name} = {then[member.name][name]!r}, which is "
+                    f"{run}: it ran with {member.name}.{name} = {recorded[member.name][name]!r}, which is "
                     f"{value!r} by now: run it again"
                 )
 
@@ -413,9 +413,9 @@ def _belongs(path: Path) -> Iterator[Path]:
     """Yield a file and those of the same stem that its format reads beside it; no other file of its folder is
     packed.
     """
-    kinds: set[str] = next((kinds for kinds in TOGETHER if path.suffix.lower() in kinds), set())
+    suffixes: set[str] = next((suffixes for suffixes in TOGETHER if path.suffix.lower() in suffixes), set())
     beside = path.parent.glob(f"{escape(path.stem)}.*")
-    yield from (file for file in beside if file == path or file.suffix.lower() in kinds)
+    yield from (file for file in beside if file == path or file.suffix.lower() in suffixes)
 
 
 def _version(package: str) -> str:
@@ -427,17 +427,17 @@ def _version(package: str) -> str:
 
 def _sources(package: str) -> Path | None:
     """Find the folder of a package's sources: in its workspace, or from where pip has installed it."""
-    places: list[Path] = []
+    folders: list[Path] = []
     if (workspace := repeat.workspace(package)) is not None:
-        places += [workspace]
+        folders += [workspace]
     try:
         content = json.loads(importlib.metadata.distribution(package).read_text("direct_url.json") or "{}")
         url = urlsplit(str(content.get("url", "")))
-        places += [Path(unquote(url.path))] if url.scheme == "file" else []
+        folders += [Path(unquote(url.path))] if url.scheme == "file" else []
     except (importlib.metadata.PackageNotFoundError, ValueError):
         pass
-    for place in places:
-        for manifest in (place / "package.xml", *place.glob("*/package.xml"), *place.glob("src/**/package.xml")):
+    for folder in folders:
+        for manifest in (folder / "package.xml", *folder.glob("*/package.xml"), *folder.glob("src/**/package.xml")):
             if manifest.is_file() and _named(manifest) == package and manifest.with_name(package).is_dir():
                 return manifest.parent
     return None

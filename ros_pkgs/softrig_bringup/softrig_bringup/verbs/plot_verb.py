@@ -85,16 +85,16 @@ def _style(options: argparse.Namespace, named: bool) -> Style:
 
 def _folder(runs: Sequence[Path], names: Sequence[str], window: Sequence[float] | None) -> Path:
     """Name the folder of pictures by their content, below that of the run if there is one."""
-    of = [name.replace("/", " ") for name in names] + ([f"{a:g}_to_{b:g}_s" for a, b in [window]] if window else [])
+    parts = [name.replace("/", " ") for name in names] + ([f"{a:g}_to_{b:g}_s" for a, b in [window]] if window else [])
     if len(runs) > 1:
         return Path("pictures") / folder_of(
-            [*(run.resolve().name for run in runs), *of], [str(r.resolve()) for r in runs]
+            [*(run.resolve().name for run in runs), *parts], [str(r.resolve()) for r in runs]
         )
     home = next((p for p in (runs[0], runs[0].parent) if (p / "metrics.json").is_file()), None)
     below = (
         home / "pictures" if home else Path("pictures") / folder_of([runs[0].resolve().name], [str(runs[0].resolve())])
     )
-    return below / folder_of(of) if of else below
+    return below / folder_of(parts) if parts else below
 
 
 Drawing = Iterator[tuple[PlotEntry, "Figure", str]]

@@ -21,7 +21,7 @@ def main(options: argparse.Namespace) -> int:
     if options.table is not None:
         measures = dict.fromkeys((m.name, m.unit) for run in runs for m in run.metrics)
         have = [{(m.name, m.unit): _number(m) for m in run.metrics} for run in runs]
-        columns = [Column(*key, [own.get(key, math.nan) for own in have]) for key in measures]
+        columns = [Column(*key, [figures.get(key, math.nan) for figures in have]) for key in measures]
         write_paper_table(options.table, "run", named, columns)
         print(f"wrote {options.table}")
     return 0

@@ -118,8 +118,8 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
     before = options.like if options.origin is None else options.origin[0]
     if before is not None and out in (before.absolute(), before.absolute().parent):
         if options.out is not None:
-            word = "--like repeats" if options.origin is None else "--from continues"
-            raise ScenarioError(f"--out {options.out}: it holds the run that {word}, expected another folder")
+            origin = "--like repeats" if options.origin is None else "--from continues"
+            raise ScenarioError(f"--out {options.out}: it holds the run that {origin}, expected another folder")
         out = out.with_name(f"{out.name}-again")
     folder, number = ResultsFolder(out), 1
     if options.out is not None and not options.force and folder.hold() is None and folder.broke:
@@ -155,8 +155,8 @@ def _without_broken_run(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
 
 def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
     """Describe why the folder must not be written to; empty if it may be."""
-    if (other := folder.hold()) is not None:
-        return f"{other} is writing there"
+    if (holder := folder.hold()) is not None:
+        return f"{holder} is writing there"
     if folder.replaced and not force and (once := folder.once(lambda shards: once_broken_off(rig, shards))):
         folder.let_go()
         return f"its run cannot be made again ({once})"
@@ -193,14 +193,14 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     """
     try:
         with stoppable():
-            kept = _keep(options, done, folder)
+            results = _keep(options, done, folder)
             if slow := too_slow(options, done.rig, done.status, bool(done.error)):
                 print_line(slow)
-            _print_results(kept, done, folder.path if folder is not None else None)
+            _print_results(results, done, folder.path if folder is not None else None)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(_lacking(options, folder))
         raise
-    return _judged(options, kept, done)
+    return _judged(options, results, done)
 
 
 def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
@@ -213,16 +213,16 @@ def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
     """
     if folder is None:
         return "its figures are not judged; run it again"
-    place = _shown(folder.path)
+    path = _shown(folder.path)
     if not (folder.path / METRICS).exists():
         shards = any((folder.path / "log").glob("*.shard"))
         log = shlex.quote(_shown(folder.path / "log"))
-        made = f"; `softrig bag repair {log}` makes a bag of what was recorded" if shards else ""
-        return f"no bag, no figures and no pictures are in {place}{made or '; run it again'}"
+        advice = f"; `softrig bag repair {log}` makes a bag of what was recorded" if shards else ""
+        return f"no bag, no figures and no pictures are in {path}{advice or '; run it again'}"
     if options.no_plots or (folder.path / "report.html").exists():
-        return f"the table was not printed; it is in {place}"
-    command = shlex.join(("softrig", "report", place, "--out", f"{place}/report.html"))
-    return f"figures and bag are in {place}, pictures and report are not; `{command}` makes a report with them"
+        return f"the table was not printed; it is in {path}"
+    command = shlex.join(("softrig", "report", path, "--out", f"{path}/report.html"))
+    return f"figures and bag are in {path}, pictures and report are not; `{command}` makes a report with them"
 
 
 def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Kept:
@@ -268,8 +268,8 @@ def _writing(done: Run, folder: ResultsFolder) -> str:
     """Describe which files are written, and what remains of them if this process is killed."""
     messages = sum(topic.number for topic in done.recording.topics.values())
     log = folder.path / "log"
-    kept = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
-    return f"writing {messages} messages into {_shown(folder.path)}{kept}"
+    note = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
+    return f"writing {messages} messages into {_shown(folder.path)}{note}"
 
 
 def _write_junit(options: argparse.Namespace, done: Run) -> None:
@@ -298,21 +298,21 @@ def _contradictions(like: Path) -> list[str]:
         return [f"{like}: {error}"]
 
 
-def _print_results(kept: _Kept, done: Run, out: Path | None) -> None:
+def _print_results(results: _Kept, done: Run, out: Path | None) -> None:
     """Print the figures and the remarks on the run."""
     if done.error:
         print_line(f"the run broke: {done.error}")
         if out is not None:
             print_line(f"what was recorded up to there is in {_shown(out)}, the output of the nodes in its log/")
         return
-    _print_figures(kept.content, done, out)
-    for line in (*assumptions(done.rig.members), *kept.remarks):
+    _print_figures(results.content, done, out)
+    for line in (*assumptions(done.rig.members), *results.remarks):
         print_line(line)
     if done.stopped:
         print_line(done.stopped_at)
 
 
-def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
+def _judged(options: argparse.Namespace, results: _Kept, done: Run) -> int:
     """Return the exit status."""
     if done.error:
         return 3
@@ -320,7 +320,7 @@ def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
         return 128 + done.stopped
     if options.max_missed is not None and any(share > options.max_missed for share in _missed(done.status).values()):
         return 1
-    if not kept.same:
+    if not results.same:
         return 1
     return 0 if all(f.passed for f in done.results) and all(c.holds is not False for c in done.claims) else 1
 
@@ -375,11 +375,11 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     console.print(styled((title, "italic")))  # as wide as the terminal, not as the table
     _print_table(console, run)
     _print_remarks(console, run)
-    reached, whole = content["reached_s"], content["duration_s"]
+    reached, duration = content["reached_s"], content["duration_s"]
     speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
-    of = f" of {whole:g}" if run.stopped else ""
+    share = f" of {duration:g}" if run.stopped else ""
     console.print(
-        f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
+        f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{share} s simulated in {run.wall_s:.2f} s with "
         f"start-up{speed}"
     )
     _print_nodes(console, run)

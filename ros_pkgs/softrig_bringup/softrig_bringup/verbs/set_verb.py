@@ -41,10 +41,10 @@ def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
         value = read_yaml(text, f"set {key}")
         if not node or not parameter:
             raise ScenarioError(f"set: {key!r}: expected NODE.PARAM")
-        kinds = {type(x) for x in value} if isinstance(value, list) else {type(value)}
-        if kinds == {int, float}:
-            value, kinds = [float(x) for x in value], {float}
-        if len(kinds) > 1 or not kinds <= {bool, int, float, str}:  # ROS has lists of one kind
+        types = {type(x) for x in value} if isinstance(value, list) else {type(value)}
+        if types == {int, float}:
+            value, types = [float(x) for x in value], {float}
+        if len(types) > 1 or not types <= {bool, int, float, str}:  # ROS has lists of one kind
             raise ScenarioError(f"set {key}: {text!r} is no value of a parameter")
         result.setdefault(node, {})[parameter] = value
     return result

@@ -50,7 +50,7 @@ def main(options: argparse.Namespace) -> int:
     rows = without_signals(log.rows())
     units = units_of(rows)
     result = results(study, rows, units)
-    held = claims(study, result)
+    judged = claims(study, result)
     over = statistics(study, rows, units, widths)
     content = {
         "study": study.name,
@@ -58,7 +58,7 @@ def main(options: argparse.Namespace) -> int:
         "broken": sum(bool(r["error"]) for r in rows),
         "not_judged": not_judged(rows),
         "summaries": [r.model_dump(by_alias=True) for r in result],
-        "claims": [c.model_dump() for c in held],
+        "claims": [c.model_dump() for c in judged],
     } | over.content()
     folder = ResultsFolder(out, STUDY)
     with folder.alone(), folder.anew() as new:
@@ -69,21 +69,21 @@ def main(options: argparse.Namespace) -> int:
             for ending in ("csv", "tex"):
                 write_paper_table(new / f"statistics.{ending}", "case", *for_paper(over))
         replace(new / "summaries.json", json.dumps(content, indent=1) + "\n")
-        write_page(new / "report.html", study.title, list(body_of(study, rows, result, held, over, pictures, units)))
-    print_study(study, rows, result, held, over, out)
+        write_page(new / "report.html", study.title, list(body_of(study, rows, result, judged, over, pictures, units)))
+    print_study(study, rows, result, judged, over, out)
     if before is not None:
-        other = list(differing(before, rows))
-        text = f"repeats {options.like} row for row" if not other else f"{len(other)} of {len(before)} rows are others"
-        print("; ".join([text, *other[:3]]))
-        return 1 if other else 0
+        apart = list(differing(before, rows))
+        text = f"repeats {options.like} row for row" if not apart else f"{len(apart)} of {len(before)} rows are others"
+        print("; ".join([text, *apart[:3]]))
+        return 1 if apart else 0
     if any(row["error"] for row in rows):
         return 3
-    return 0 if all(r.passed for r in result) and all(c.holds is not False for c in held) else 1
+    return 0 if all(r.passed for r in result) and all(c.holds is not False for c in judged) else 1
 
 
 def _again(options: argparse.Namespace) -> tuple[Study, list[dict[str, Any]]]:
-    given = ("grid", "draw", "against", "subject_to", "figures", "signals", "seeds", "duration", "search", "study")
-    if wrong := [name for name in given if getattr(options, name)]:
+    stated = ("grid", "draw", "against", "subject_to", "figures", "signals", "seeds", "duration", "search", "study")
+    if wrong := [name for name in stated if getattr(options, name)]:
         raise ScenarioError(f"--like repeats a study as it was: expected no {wrong[0]} beside it")
     return unpacked(options.like)
 

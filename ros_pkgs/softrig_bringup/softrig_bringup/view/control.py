@@ -73,11 +73,11 @@ class Knob:
             if value is None:
                 raise ScenarioError(f"{self.key}: expected a value")
             return value
-        what = "a whole number" if self.kind is int else "a number, such as 2.5 or 1e-3"
+        expected = "a whole number" if self.kind is int else "a number, such as 2.5 or 1e-3"
         try:
             return self.kind(text)
         except ValueError:
-            raise ScenarioError(f"{self.key} = {text!r} refused: expected {what}") from None
+            raise ScenarioError(f"{self.key} = {text!r} refused: expected {expected}") from None
 
 
 class Entry(NamedTuple):
@@ -135,26 +135,26 @@ class Control:
         self._ask, self._now, self._over = ask, now, over
         self.held, self.pace = held, pace
         self.clock = rig.clock.name
-        own = [m for m in rig.members if not m.external] if ask is not None else []
-        roles = {m.name: role(rig, m) for m in own}
-        first = sorted(own, key=lambda m: ROLES.index(roles[m.name]))
+        members = [m for m in rig.members if not m.external] if ask is not None else []
+        roles = {m.name: role(rig, m) for m in members}
+        first = sorted(members, key=lambda m: ROLES.index(roles[m.name]))
         self.knobs = {k.key: k for m in first for k in _knobs(m)}
         self.roles = {knob.node: roles[knob.node] for knob in self.knobs.values()}
         self.buttons = [
             (m.name, p.name)
-            for m in own
+            for m in members
             for p in m.inputs
             if p.msgtype == "std_msgs/msg/Bool" and p.name not in m.links
         ]
         self.entries: deque[Entry] = deque(maxlen=KEPT)
         self.lines = 0
 
-    def add_entry(self, who: str, text: str, wrong: bool = False) -> None:
+    def add_entry(self, author: str, text: str, wrong: bool = False) -> None:
         """Add a line to the log on all pages."""
-        self.entries.append(Entry(self._now(), who, text, wrong))
+        self.entries.append(Entry(self._now(), author, text, wrong))
         self.lines += 1
 
-    def turn(self, who: str, key: str, value: Any) -> None:
+    def turn(self, author: str, key: str, value: Any) -> None:
         """Change a parameter; the outcome is shown on all pages."""
         knob = self.knobs[key]
         value = float(value) if knob.kind is float and isinstance(value, int) and not isinstance(value, bool) else value
@@ -163,57 +163,59 @@ class Control:
             if done:
                 knob.value = value
             self.add_entry(
-                who, f"{key} = {_shown(value)} {knob.unit}".rstrip() + ("" if done else f" refused: {reason}"), not done
+                author,
+                f"{key} = {_shown(value)} {knob.unit}".rstrip() + ("" if done else f" refused: {reason}"),
+                not done,
             )
 
-        self._send(who, f"{key} = {_shown(value)}", {"node": knob.node, "set": {knob.name: value}}, answered)
+        self._send(author, f"{key} = {_shown(value)}", {"node": knob.node, "set": {knob.name: value}}, answered)
 
-    def press(self, who: str, node: str, name: str) -> None:
+    def press(self, author: str, node: str, name: str) -> None:
         """Press a button of the rig."""
-        self._call(who, node, name, f"{node}/{name}")
+        self._call(author, node, name, f"{node}/{name}")
 
-    def hold(self, who: str, what: str) -> None:
+    def hold(self, author: str, action: str) -> None:
         """Pause, resume or step the run."""
 
         def after() -> None:
-            if what != "step":
-                self.held = what == "pause"
+            if action != "step":
+                self.held = action == "pause"
 
-        self._call(who, self.clock, what, what, after)
+        self._call(author, self.clock, action, action, after)
 
-    def go_back(self, who: str, t: float) -> None:
+    def go_back(self, author: str, t: float) -> None:
         """Return to a time of the run, s; this is possible after its end, too."""
 
         def answered(done: bool, reason: str) -> None:
-            self.add_entry(who, reason if done else f"back to {t:g} s refused: {reason}", not done)
+            self.add_entry(author, reason if done else f"back to {t:g} s refused: {reason}", not done)
 
         assert self._ask is not None
         self._ask({"node": self.clock, "back": t}, answered)
 
-    def go_at(self, who: str, pace: float) -> None:
+    def go_at(self, author: str, pace: float) -> None:
         """Set the pace: simulated seconds for each second of wall clock; 0 means as fast as possible."""
         text = f"pace {pace:g}" if pace else "as fast as it goes"
 
         def answered(done: bool, reason: str) -> None:
             if done:
                 self.pace = pace
-            self.add_entry(who, text if done else f"{text} refused: {reason}", not done)
+            self.add_entry(author, text if done else f"{text} refused: {reason}", not done)
 
-        self._send(who, text, {"node": self.clock, "set": {"run.pace": pace}}, answered)
+        self._send(author, text, {"node": self.clock, "set": {"run.pace": pace}}, answered)
 
-    def _call(self, who: str, node: str, name: str, text: str, after: Callable[[], object] = lambda: None) -> None:
+    def _call(self, author: str, node: str, name: str, text: str, after: Callable[[], object] = lambda: None) -> None:
         def answered(done: bool, reason: str) -> None:
             if done:
                 after()
-            self.add_entry(who, f"{text}: {reason}" if done else f"{text} refused: {reason}", not done)
+            self.add_entry(author, f"{text}: {reason}" if done else f"{text} refused: {reason}", not done)
 
-        self._send(who, text, {"node": node, "call": name}, answered)
+        self._send(author, text, {"node": node, "call": name}, answered)
 
-    def _send(self, who: str, text: str, request: Mapping[str, Any], answered: Answer) -> None:
+    def _send(self, author: str, text: str, request: Mapping[str, Any], answered: Answer) -> None:
         if over := self._over():
-            self.add_entry(who, f"{text} refused: the run is over ({over})", True)
+            self.add_entry(author, f"{text} refused: the run is over ({over})", True)
         elif self._ask is None:
-            self.add_entry(who, f"{text} refused: this is a recording", True)
+            self.add_entry(author, f"{text} refused: this is a recording", True)
         else:
             self._ask(request, answered)
 
@@ -255,15 +257,15 @@ def _before(member: Member) -> set[Member]:
 def _knobs(member: Member) -> list[Knob]:
     live, values = changeable(type(member.params)), flatten(member.params)
     choices = _choices(type(member.params))
-    known = {choice for name, of in choices.items() for choice in of if isinstance(values[name], str)}
+    known = {choice for name, owners in choices.items() for choice in owners if isinstance(values[name], str)}
     chosen = {values[name] for name in choices}
     result = []
     for d in declarations(type(member.params)):
         if d.name in live:
             low = -math.inf if d.lower is None or d.lower <= -LARGEST else float(d.lower)
             high = math.inf if d.upper is None or d.upper >= LARGEST else float(d.upper)
-            of = _owners(d.name, d.doc) & known
-            idle = bool(of) and not of & chosen
+            owners = _owners(d.name, d.doc) & known
+            idle = bool(owners) and not owners & chosen
             result.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high), idle))
     return result
 
@@ -285,8 +287,8 @@ def _owners(name: str, doc: str) -> set[str]:
     ...``.
     """
     before = re.match(r"([\w ,]+): ", doc)
-    words = re.split(r", | and ", before[1]) if before else re.findall(r"`(\w+)`", doc)
-    return {*words, *name.split(".")[:-1]}
+    names = re.split(r", | and ", before[1]) if before else re.findall(r"`(\w+)`", doc)
+    return {*names, *name.split(".")[:-1]}
 
 
 def _shown(value: Any) -> str:

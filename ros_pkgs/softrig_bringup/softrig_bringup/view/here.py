@@ -66,10 +66,10 @@ class Here(Growing):
         held: bool,
         pace: float,
         call: Callable[[Callable[[], None]], object] = lambda do: do(),
-        place: Callable[[], Path] | None = None,
+        folder: Callable[[], Path] | None = None,
     ) -> None:
         super().__init__(session.rig)
-        self.session, self._call, self._place = session, call, place
+        self.session, self._call, self._place = session, call, folder
         self._shard: ShardWriter | None = None
         self._full: OSError | None = None  # why nothing more is written there
         self._written: Counter[str] = Counter()  # messages by topic
@@ -138,9 +138,9 @@ class Here(Growing):
             knob.value = turned.get(knob.key, known)
         return f"back to {session.t:.9g} s from {before:.9g} s: what is turned holds from there on"
 
-    def _keep_branch(self, place: Path) -> Path:
+    def _keep_branch(self, folder: Path) -> Path:
         """Write the abandoned branch as a scenario; OSError if it cannot be written."""
-        session, path = self.session, place / f"left_{len(self.branched) + 1}.yaml"
+        session, path = self.session, folder / f"left_{len(self.branched) + 1}.yaml"
         changes = branched(session.rig, session.recording, self.end, {})
         scenario = session.rig.scenario.having(changes=changes).model_dump(
             mode="json", exclude_defaults=True, exclude={"name", "expect", "claims", "requirements"}
@@ -176,11 +176,11 @@ class Here(Growing):
     def read_new(self) -> None:
         """Copy new recorded data."""
         session = self.session
-        part = Recording(())
+        new = Recording(())
         for name, topic in session.recording.topics.items():
-            part.topics[name] = topic.since(self._seen[name])
-            self._seen[name] += len(part.topics[name].times)
-        self.append(part)
+            new.topics[name] = topic.since(self._seen[name])
+            self._seen[name] += len(new.topics[name].times)
+        self.append(new)
         results: list[Turned] = [(to_s(t), node, values) for t, node, values in recorded(session.recording)]
         for change in results:
             if change not in self.changes:
@@ -204,12 +204,12 @@ class Here(Growing):
                 print_line(text)
                 self.control.add_entry("the run", text, True)
 
-    def _write(self, place: Callable[[], Path]) -> None:
+    def _write(self, folder: Callable[[], Path]) -> None:
         """Append new messages to a file as nodes do, so that `bag repair` finds them if the process is killed."""
         topics = [topic for name, topic in self.session.recording.topics.items() if name != EVENTS]
         events = self.session.recording.topics.get(EVENTS)
         if self._shard is None:
-            (log := place() / "log").mkdir(exist_ok=True)
+            (log := folder() / "log").mkdir(exist_ok=True)
             self._shard = ShardWriter(log / "rig.shard", [(topic.name, topic.msgtype) for topic in topics])
         for number, topic in enumerate([*topics, *([events] if events else [])]):  # changes have the number after all
             new, written = topic.since(self._written[topic.name]), self._written[topic.name]
@@ -249,12 +249,12 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 
     started = time.perf_counter()
     loop = IOLoop.current()
-    place: ResultsFolder | None = folder
+    target_folder: ResultsFolder | None = folder
 
     def where() -> ResultsFolder:
-        nonlocal place
-        place = place or _branch_folder(folder.path)
-        return place
+        nonlocal target_folder
+        target_folder = target_folder or _branch_folder(folder.path)
+        return target_folder
 
     source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: where().path)
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
@@ -263,7 +263,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     wrong: BaseException | None = None
 
     def end(stopped: int = 0) -> None:
-        nonlocal status, ended, place, wrong
+        nonlocal status, ended, target_folder, wrong
         into = where()
         with unstopped(), into.keeping():
             source.read_new()
@@ -282,7 +282,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
             except KeyboardInterrupt as interrupt:
                 wrong, outcome = interrupt, "stopped while it was written"
                 loop.add_callback(loop.stop)
-            ended, place = True, None
+            ended, target_folder = True, None
             source.finish(outcome, written)
 
     def turn() -> None:
@@ -321,8 +321,8 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 def _branch_folder(path: Path) -> ResultsFolder:
     """Return a separate folder for a branch of the run in this one."""
     number = 2
-    while (place := path.with_name(f"{path.name}-{number}")).exists():
+    while (candidate := path.with_name(f"{path.name}-{number}")).exists():
         number += 1
-    folder = ResultsFolder(place)
+    folder = ResultsFolder(candidate)
     folder.clear()
     return folder

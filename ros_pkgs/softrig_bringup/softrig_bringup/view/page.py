@@ -69,12 +69,12 @@ class Page:
         source: Source,
         control: Control,
         figures: Callable[[], tuple[Sequence[Result], bool]],
-        who: str,
+        author: str,
         how: str,
         look: str,
     ) -> None:
         self._source, self._control, self._figures = source, control, figures
-        self._author, self._how = who, how
+        self._author, self._how = author, how
         self._sheet, self._narrow_sheet = InlineStyleSheet(css=WIDGETS), InlineStyleSheet(css=BESIDE)
         self._calm = False  # what changes is changed by us
         self._shown: tuple[Any, ...] = ()
@@ -120,7 +120,7 @@ class Page:
                 "look": look,
                 "drawn": self._drawing is not None,
                 "curves": [name for name in roots if name[:5] == "curve"],
-                "groups": [(name, title, what, opened) for name, _, title, what, opened in groups],
+                "groups": [(name, title, heading, opened) for name, _, title, heading, opened in groups],
             }
         )
         # Bokeh alone would resume the session, which a restarted server does not know.
@@ -229,10 +229,10 @@ class Page:
             result.append(("buttons", buttons, "Buttons", "", True))
         first = next(iter(control.roles.values()), "")
         for node, role in control.roles.items():
-            own = [knob for knob in control.knobs.values() if knob.node == node]
-            used, idle = [k for k in own if not k.idle], [k for k in own if k.idle]
-            what = f"{WHAT.get(role, role)} {len(used)}".strip()
-            result.append((f"knobs {node}", self._group(used), node, what, role in (first, "law", "fault")))
+            knobs = [knob for knob in control.knobs.values() if knob.node == node]
+            used, idle = [k for k in knobs if not k.idle], [k for k in knobs if k.idle]
+            heading = f"{WHAT.get(role, role)} {len(used)}".strip()
+            result.append((f"knobs {node}", self._group(used), node, heading, role in (first, "law", "fault")))
             if idle:
                 result.append((f"idle {node}", self._group(idle), node, f"not used by this choice {len(idle)}", False))
         return result
@@ -399,10 +399,10 @@ class Page:
             self.time.update(start=first, end=last)
         first, last = float(self.time.start), float(self.time.end)
         now = (source.version, first, last)
-        at = min(last, self._moving()) if source.live else float(self._slider.value)
-        if moved := at != self._drawn_at:
-            self._drawn_at = at
-            self._draw_plant(at)
+        moment = min(last, self._moving()) if source.live else float(self._slider.value)
+        if moved := moment != self._drawn_at:
+            self._drawn_at = moment
+            self._draw_plant(moment)
         if now == self._shown:
             return moved
         self._shown = now
@@ -452,13 +452,13 @@ class Page:
         return True
 
 
-def bare(document: Document, control: Control, who: str, error: Exception) -> None:
+def bare(document: Document, control: Control, author: str, error: Exception) -> None:
     """Show a page without the rig's widgets, with the reason and how the run continues."""
     why = html.escape(f"{type(error).__name__}: {error}")
     document.add_root(Div(text=f"<h1>This page cannot be shown</h1><p>{why}</p><p>The run does not depend on it.</p>"))
-    for what in ("resume", "pause") if control.held is not None else ():
-        button = Button(label=what, name=what)
-        button.on_click(lambda what=what: control.hold(who, what))
+    for action in ("resume", "pause") if control.held is not None else ():
+        button = Button(label=action, name=action)
+        button.on_click(lambda action=action: control.hold(author, action))
         document.add_root(button)
 
 

@@ -184,8 +184,8 @@ def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:
     Where the reader chooses the window, one that is a part of another is that other once more.
     """
     if plots := rig.scenario.plots:
-        whole = [(p.signals, p.x) for p in plots if p.window is None]
-        return tuple(p for p in plots if p.window is None or (p.signals, p.x) not in whole)
+        complete = [(p.signals, p.x) for p in plots if p.window is None]
+        return tuple(p for p in plots if p.window is None or (p.signals, p.x) not in complete)
     units = signal_units(rig)
     return tuple(
         PlotEntry(title=topic, signals={f"{topic}/{label}": "" for label in port.labels[:MANY]})

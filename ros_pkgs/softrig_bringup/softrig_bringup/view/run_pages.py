@@ -71,8 +71,8 @@ class RunPages:
             status = self._process.wait()
             if self._ends:
                 return
-            what = "it is started again" if left else "the run continues without it"
-            print_line(f"the page has broken (status {status}): {what}")
+            outcome = "it is started again" if left else "the run continues without it"
+            print_line(f"the page has broken (status {status}): {outcome}")
             if left:
                 self._process = self._start()
         if self._watched["paused"]:  # nobody could have it go on

@@ -58,9 +58,9 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
     simulated : bool
         Whether the stamps are those of /clock.
     """
-    own = f"/{namespace}" if namespace else ""
-    moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
-    replace(folder / "rig.rviz", rviz_file(rig, own))
+    prefix = f"/{namespace}" if namespace else ""
+    moved = [(f"/{name}", f"{prefix}/{name}") for name in ROOTED] if namespace else []
+    replace(folder / "rig.rviz", rviz_file(rig, prefix))
     return Process(
         "rviz2",
         "rviz2",

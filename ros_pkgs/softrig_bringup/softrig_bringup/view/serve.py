@@ -162,8 +162,8 @@ def free_address(address: str) -> tuple[str, int]:
         raise ScenarioError(f"--address {address!r}: expected HOST:PORT, port 0 for a free one")
     try:
         sockets, chosen = bind_sockets(host, int(port))  # what the browser's pages may come from names the port
-        for one in sockets:
-            one.close()
+        for server in sockets:
+            server.close()
     except OSError as error:
         raise ScenarioError(f"--address {address}: {error.strerror}") from None
     return host, chosen
@@ -236,13 +236,13 @@ class Pages:
         arguments = document.session_context.request.arguments if document.session_context else {}
         text = "dark" if arguments.get("look", [b""])[0] == b"dark" else "light"
         number = next(self._numbers)
-        who = f"browser {number}"
+        author = f"browser {number}"
         try:
-            Page(document, self._source, self._control, self._figures, who, self._how, text)
+            Page(document, self._source, self._control, self._figures, author, self._how, text)
         except Exception as error:  # of somebody's plant or plots: the run can be told to go on without them
             print_line(f"a page cannot be shown: {type(error).__name__}: {error}")
             document.clear()
-            bare(document, self._control, who, error)
+            bare(document, self._control, author, error)
 
     def left(self) -> bool:
         """Update the connections; return whether all browsers have left after at least one has shown a page."""
@@ -308,18 +308,18 @@ def serve_run(watched: Watched, lines: Any) -> None:
     control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held, pace)
     pages = Pages(source, control, watched.how, watched.address, watched.token, loop)
     print_line(f"the page is {pages.url}")
-    told, paced = 0, (held, pace)
+    reported, paced = 0, (held, pace)
 
     def refresh() -> None:
-        nonlocal told, paced
+        nonlocal reported, paced
         source.read_new()
         now = source.status[control.clock] if held is not None else {}
         known = (now["held"], None if watched.realtime else now["pace"]) if "pace" in now else paced
         if paced != (paced := known):  # whoever has changed it
             control.held, control.pace = paced
-        for change in source.changes[told:]:
+        for change in source.changes[reported:]:
             control.log_change(*change)
-        told = len(source.changes)
+        reported = len(source.changes)
         pages.measure()
         if pages.left() and source.outcome:
             loop.stop()

@@ -86,8 +86,8 @@ class Growing:
     @property
     def speed(self) -> float:
         """Return the simulated time over wall-clock time, over the last updates."""
-        (first, at), (last, end) = self._marks[0], self._marks[-1]
-        return (end - at) / (last - first) if last > first else 0.0
+        (first, start), (last, end) = self._marks[0], self._marks[-1]
+        return (end - start) / (last - first) if last > first else 0.0
 
     @property
     def awaited(self) -> list[str]:

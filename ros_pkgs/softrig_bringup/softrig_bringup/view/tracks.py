@@ -45,8 +45,8 @@ class Track:
         """Add messages; a channel that is new or missing is NaN where it is not."""
         most = self._limit // 5  # beside what is left of a full track that is thinned: three quarters and two more
         for first in range(0, len(t), most):
-            part = slice(first, first + most)
-            self._append(t[part], {label: x[part] for label, x in columns.items()})
+            rows = slice(first, first + most)
+            self._append(t[rows], {label: x[rows] for label, x in columns.items()})
 
     def _append(self, t: Array, columns: Mapping[str, Array]) -> None:
         new = [label for label in columns if label not in self.labels]
@@ -73,13 +73,13 @@ class Track:
         low, high = fmin.reduce(x, axis=2), fmax.reduce(x, axis=2)
         falls = np.argmax(x, axis=2) < np.argmin(x, axis=2)
         pairs = np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=2)
-        kept = old // _BUCKET * 2
-        self._t[:kept] = self._t[:old].reshape(-1, _BUCKET)[:, ::2].ravel()
-        self._x[:, :kept] = pairs.reshape(len(self.labels), -1)
+        thinned = old // _BUCKET * 2
+        self._t[:thinned] = self._t[:old].reshape(-1, _BUCKET)[:, ::2].ravel()
+        self._x[:, :thinned] = pairs.reshape(len(self.labels), -1)
         remaining = self._n - old
-        self._t[kept : kept + remaining] = self._t[old : self._n].copy()
-        self._x[:, kept : kept + remaining] = self._x[:, old : self._n].copy()
-        self._n = kept + remaining
+        self._t[thinned : thinned + remaining] = self._t[old : self._n].copy()
+        self._x[:, thinned : thinned + remaining] = self._x[:, old : self._n].copy()
+        self._n = thinned + remaining
 
     def table(self, first: float, last: float) -> Table:
         """Return the messages from `first` to `last` (s), and the one before them, which is valid until then."""
