@@ -357,6 +357,10 @@ def test_times_are_64_bit_integers(ticks: int, refused: bool) -> None:
     text = "times beyond whole numbers of 64 bits"
     for result in (why_not(rig_text, steps, []), why_not(batch_text, steps, steps[1], ["a[0]"], form)):
         assert result == (text if refused else "")
+    # The text of a run serves runs of other lengths, as long as their times fit.
+    short = stepped(blocks, duration=300.0)
+    one, other = (fitted.kinds_of(fitted.Core(each), [], plain) for each in (steps, short))
+    assert (one == other) is not refused
 
 
 @pytest.mark.parametrize(("size", "refused"), [(64, False), (65, True)])

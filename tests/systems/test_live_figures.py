@@ -15,7 +15,7 @@ from softrig_core import (
     rig_of,
     simulate,
 )
-from softrig_core.run.live_figures import Figures
+from softrig_core.run.live_figures import Figures, Measured
 from softrig_core.verdict.watch import MANY, Kept, row_of
 
 SPEED = "motor/true_state/shaft/velocity"
@@ -136,6 +136,8 @@ def test_figures_are_those_of_the_newest_step_of_their_reference():
     assert run.figures["peak_to_peak"] == late.max() - late.min()
     assert 0.0 < run.figures["rise_time"] < up.figures["rise_time"] * 2.0
     assert run.figures["overshoot"] < 5.0
+    # The node of figures is left out of a run that is recorded, and measured when it is asked.
+    assert isinstance(run.blocks["dc_motor_metrics"], Measured)
     assert run.blocks["dc_motor_metrics"].status()["rise_time"] == (run.figures["rise_time"], "s")
 
 

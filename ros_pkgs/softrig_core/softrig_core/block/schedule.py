@@ -152,9 +152,12 @@ class Schedule:
         import numpy as np
 
         # numpy's integers overflow without an error, so long runs are computed with Python's.
-        if 2 * last * self._n + self._d < 1 << 62:
-            return (2 * np.arange(first, last, dtype=np.int64) * self._n + self._d) // (2 * self._d)
-        return np.array([self.time(k) for k in range(first, last)], np.int64)
+        if 2 * last * self._n + self._d >= 1 << 62:
+            return np.array([self.time(k) for k in range(first, last)], np.int64)
+        # The general form needs two more arrays, which are fresh memory pages in a long run.
+        if self._d == 1:
+            return np.arange(first * self._n, last * self._n, self._n, dtype=np.int64)
+        return (2 * np.arange(first, last, dtype=np.int64) * self._n + self._d) // (2 * self._d)
 
     def _tick(self, t: int) -> int:
         return (2 * t * self._d + self._n) // (2 * self._n)

@@ -22,7 +22,7 @@ from ..wire.columns import spacious
 from .audience import NEVER, Answers, answered, numbers_of, stamps_of
 from .rig_text import RigText, rig_text
 from .translate import follow
-from .turns import WHEN, decides, holdings, speakers, wiring
+from .turns import WHEN, decides, fits_64_bits, holdings, speakers, wiring
 from .twins import Way, applied, form, packed, packer, unpacked, unpacker
 from .value import NotNative
 
@@ -98,7 +98,8 @@ def kinds_of(core: Core, recorded: Sequence[Step], make: Make) -> tuple[Any, ...
     return (
         tuple(type(s.block) for s in core.steps),
         make,
-        tuple((s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks) for s in core.steps),
+        tuple((s.name, s.schedule.every, s.schedule.clock) for s in core.steps),
+        fits_64_bits(core.steps),
         tuple(core.forms()),
         wiring(core.steps),
         tuple(s.name for s in recorded),

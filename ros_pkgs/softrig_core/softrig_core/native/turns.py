@@ -105,6 +105,13 @@ def decides(step: Step) -> bool:
     return isinstance(step.block, Deciding)
 
 
+def fits_64_bits(steps: Sequence[Step]) -> bool:
+    """Return whether whole numbers of 64 bits hold all times of a run."""
+    period = Plan(s.schedule for s in steps).clock.period
+    # `time` computes twice the time before it divides.
+    return 2 * (period * 10**9).numerator * (steps[0].schedule.ticks or 1) <= LARGEST
+
+
 class Turns:
     """Writes the code of the members' turns in a tick.
 
@@ -141,8 +148,7 @@ class Turns:
 
     def check_times(self) -> None:
         """Ensure that whole numbers of 64 bits hold all times of the run."""
-        # `time` computes twice the time before it divides.
-        if 2 * self._ns[0] * (self.steps[0].schedule.ticks or 1) > LARGEST:
+        if not fits_64_bits(self.steps):
             raise NotNative("times beyond whole numbers of 64 bits")
 
     def time(self, k: str) -> str:

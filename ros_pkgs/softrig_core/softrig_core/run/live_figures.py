@@ -6,7 +6,7 @@ the run is under way, which would be a second copy of the recording: its figures
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from typing import Any, Self
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
+from ..block.held import RunningBlock
 from ..block.params import param
 from ..block.port import Port
 from ..errors import ScenarioError
@@ -107,6 +108,27 @@ def measured(member: Member, signals: Signals) -> Mapping[str, tuple[float, str]
     assert member.schedule.last is not None
     since = member.schedule.last - round(member.params.window * SECOND)
     return status_of(figures_in(member.params.given()["figures"]), _Newest(signals, member.inputs, since / SECOND))
+
+
+class Measured(RunningBlock):
+    """A node of figures that a completely recorded run did without, see `is_recorded`.
+
+    Parameters
+    ----------
+    member : Member
+    seed : int
+        Rig seed.
+    signals : callable
+        Returns the signals of the run.
+    """
+
+    def __init__(self, member: Member, seed: int, signals: Callable[[], Signals]) -> None:
+        super().__init__(member.block(seed))
+        self._member, self._signals = member, signals
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Return the figures that the node would have at the end of the run."""
+        return measured(self._member, self._signals())
 
 
 class _Newest(Recent):

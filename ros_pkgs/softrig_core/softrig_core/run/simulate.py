@@ -29,6 +29,7 @@ from ..wire.signals import Signals, full_name, topic_of
 from .branch import branched, parted
 from .expand import rig_of
 from .inprocess import run_inprocess
+from .live_figures import Measured, is_recorded
 from .purity import check_pure, check_same, is_suspect
 
 
@@ -338,16 +339,19 @@ def simulate(
     if thorough:
         check_pure(rig, number)
     run = Run(rig, number, recording, wanted=wanted)
+    # These nodes would only keep a second copy of what is recorded.
+    measured = {m.name: m for m in rig.members if topics is None and runs == 1 and is_recorded(m)}
     started = time.perf_counter()
     bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
     with bar as tell:
-        run.blocks = run_inprocess(rig, number, recording, tell or None, runs, topics, thorough)
+        steps = run_inprocess(rig, number, recording, tell or None, runs, topics, thorough, measured)
+    run.blocks = steps | {name: Measured(m, number, lambda: run.signals) for name, m in measured.items()}
     run.wall_s = time.perf_counter() - started
     run.kernels = kernels()
     if thorough and is_suspect(rig):
         again = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
         try:
-            run_inprocess(rig, number, again, None, runs, topics)
+            run_inprocess(rig, number, again, None, runs, topics, without=measured)
         except RunError as error:
             raise Impure(f"a second run of the same parameters and seed does not end as the first: {error}") from None
         check_same(rig, recording, again)
