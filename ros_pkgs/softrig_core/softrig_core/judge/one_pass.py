@@ -68,17 +68,19 @@ class OnePass:
             raise LookupError("too many")
         self.code = np.array(self._code, np.int64)
 
-    def __call__(
-        self, samples: Mapping[str, Array], numbers: Mapping[str, Any], first: int, last: int
-    ) -> Extreme | None:
+    def constants(self, numbers: Mapping[str, Any]) -> Array:
+        """Return the constants of its instructions for the numbers that the formula names."""
+        return np.array([_number(tree, numbers) for tree in self._constants], np.float64)
+
+    def __call__(self, samples: Mapping[str, Array], constants: Array, first: int, last: int) -> Extreme | None:
         """Return the extreme that decides the formula; None where the reference implementation has to decide it.
 
         Parameters
         ----------
         samples : mapping of str to array, shape (n,)
             Of its signals and conditions.
-        numbers : mapping of str to float
-            That it names.
+        constants : array
+            See `constants`.
         first, last : int
             Index of the first and the last sample of its window.
         """
@@ -90,7 +92,6 @@ class OnePass:
             column.flags.writeable = False
         # The native function has a fixed number of columns; its instructions never load those that only fill up.
         columns += columns[:1] * (COLUMNS - len(columns))
-        constants = np.array([_number(tree, numbers) for tree in self._constants], np.float64)
         edges = np.empty(2 * SPANS, np.int64)
         given = self.code, constants, *columns, first, last, self.kind == "Always", edges
         # Loading native code takes milliseconds and compiling it seconds, so the first calls leave the formula to the

@@ -145,6 +145,13 @@ def _extremes(values: Array, first: Any, last: Any, pick: Pick, none: float, a: 
     return extremes(part, begins - low, ends - low, pick, none)
 
 
+def decided(extreme: Extreme, times: Array) -> Margin:
+    """Return the margin of a formula that is decided by an extreme of what it compares."""
+    value, at = extreme.value, float(times[extreme.at] / SECOND)
+    spans = tuple((float(times[a] / SECOND), float(times[b] / SECOND)) for a, b in extreme.spans)
+    return Margin(value, at, spans or (((at, at),) if value < 0.0 else ()), (value, value), INF)
+
+
 class Record:
     """Samples of a run on one grid of times, as a formula needs them.
 
@@ -194,11 +201,10 @@ class Record:
             The record does not decide the formula; the message names what is undefined, or where the record ends.
         """
         if native is not None and self.ended and not self._late and not is_long(self.times):
-            low, high = limits(tree[native.kind])
-            first, last, over = (int(each[0]) for each in self._window(native.kind, low, high, self.times[:1]))
-            names = {**self._samples, **self._truths}
-            if not over and (extreme := native(names, self._samples, first, last)) is not None:
-                return self._decided(extreme)
+            window = self.window(tree)
+            names, constants = {**self._samples, **self._truths}, native.constants(self._samples)
+            if window is not None and (extreme := native(names, constants, *window)) is not None:
+                return decided(extreme, self.times)
         result = self._at(tree, 0)
         least, greatest = float(result[0, 0]), float(result[1, 1])
         # What is unknown could still turn the verdict.
@@ -215,11 +221,11 @@ class Record:
             value, at, violated or (((at, at),) if value < 0.0 else ()), (least, greatest), open_from / SECOND
         )
 
-    def _decided(self, extreme: Extreme) -> Margin:
-        """Return the margin of a formula that is decided by an extreme of what it compares."""
-        value, at = extreme.value, float(self.times[extreme.at] / SECOND)
-        spans = tuple((float(self.times[a] / SECOND), float(self.times[b] / SECOND)) for a, b in extreme.spans)
-        return Margin(value, at, spans or (((at, at),) if value < 0.0 else ()), (value, value), INF)
+    def window(self, tree: Tree) -> tuple[int, int] | None:
+        """Return the first and the last index of the window of a formula; None if it extends beyond the record."""
+        ((kind, body),) = tree.items()
+        first, last, over = (int(each[0]) for each in self._window(kind, *limits(body), self.times[:1]))
+        return None if over else (first, last)
 
     def bounds(self, tree: Tree) -> Array:
         """Return a formula's robustness at each instant.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -19,8 +20,11 @@ HEAD = 2
 # So many random numbers are in a window at first or come at a time, 4 MB, and so many earlier ones remain: native code
 # that has missed one computes all ticks of its call again.
 MOST = BACK = 1 << 19
-# Numbers of as many streams as nodes of a rig draw from, kept for the next run: those of a study often have one seed.
-STREAMS = 8
+# Tables and rows of as many streams as nodes of a rig draw from, kept for the next run: those of a study often have one
+# seed.
+STREAMS = 12
+# So many rows of a stream are kept: ticks in Python at the begin of a run draw from these.
+FIRST = 2
 # Of so many numbers at most.
 LONGEST = 1 << 17
 _begun: dict[tuple[Any, ...], Any] = {}
@@ -147,8 +151,9 @@ class Draws:
             return self._draw(SIZE).tolist(), bits.state
 
         for m in range(min(n, len(self._before) - 1), n + 1):
-            # Only the first row is kept for other runs, so what is kept does not grow with the length of a run.
-            row, after = _once((*self._key, "row"), lambda: draw(0)) if m == 0 else draw(m)
+            # Only the first rows are kept for other runs, so what is kept does not grow with the length of a run. Two
+            # kinds of numbers of one node come from alternating rows.
+            row, after = _once((*self._key, "row", m), partial(draw, m)) if m < FIRST else draw(m)
             if m + 1 == len(self._before):
                 self._before.append(after)
         while len(self._rows) >= KEPT:

@@ -107,6 +107,8 @@ class Jit:
         Loading native code takes some ms and compiling it seconds. So it is loaded after some calls, and compiled
         after many.
         """
+        if self._asked >= MANY:
+            return True
         if "numba" not in sys.modules or switched_off():
             return False
         self._asked += 1

@@ -366,5 +366,5 @@ def _topics(rig: Rig, figures: list[Figure], signals: Collection[str]) -> set[st
     if unknown := sorted(wanted - units.keys()):
         near = closest(unknown[0], units)
         raise ScenarioError(f"signals: no signal {unknown[0]!r}{near}; {rig.scenario.name} has {', '.join(units)}")
-    read = read_by(figures, units) | wanted
-    return {topic_of(name, rig.topics) for name in read}
+    read, topics = read_by(figures, units) | wanted, rig.topics
+    return {topic_of(name, topics) for name in read}

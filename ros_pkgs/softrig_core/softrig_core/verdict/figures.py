@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import pickle
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -40,6 +41,7 @@ from ..kit.newest import once_for_objects
 from ..rig.agreement import agreed_values, agreeing, shown
 from ..rig.code import is_ours
 from ..rig.members import Members, signal_units
+from ..rig.noted import Noted
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters, pick
 from ..scenario.scenario import FigureEntry
@@ -140,9 +142,7 @@ def figures_of(rig: Members) -> list[Figure]:
     result = []
     for name, entry in rig.scenario.figures.items():
         try:
-            # Runs of a study share the entries, so a figure that refers to no node is resolved once for all of them
-            # (`_plain`).
-            result.append(_plain(name, entry, units) or _referring(name, entry, units, agreed, rig))
+            result.append(_figure(name, entry, units, agreed, rig))
         except ScenarioError as error:
             at = rig.scenario.written("figures", name)
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
@@ -151,30 +151,30 @@ def figures_of(rig: Members) -> list[Figure]:
     return result
 
 
+# Runs of a study share the entries of figures.
+_known = Noted[Figure]()
+
+
 @once_for_objects
-def _plain(name: str, entry: FigureEntry, units: Mapping[str, str]) -> Figure | None:
-    """Return a figure that does not refer to nodes; None for another one."""
-    function = find(entry.function or name)
-    if getattr(function, "agreed", {}) or "$" in str(entry.arguments):
-        return None
-    return _resolved(name, function, entry, entry.arguments, units)
+def _found(name: str, entry: FigureEntry) -> Function:
+    return find(entry.function or name)
 
 
-def _referring(
+def _figure(
     name: str, entry: FigureEntry, units: Mapping[str, str], agreed: Mapping[str, tuple[str, Any]], rig: Members
 ) -> Figure:
-    function = find(entry.function or name)
-    given = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
-    return _resolved(name, function, entry, agreeing(agreed, given, getattr(function, "agreed", {})), units)
+    function = _found(name, entry)
+    wanted: Mapping[str, str] = getattr(function, "agreed", {})
+    declared = {quantity: agreed[quantity] for quantity in wanted.values() if quantity in agreed}
 
+    def make(rig: Members) -> Figure:
+        given = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
+        arguments = _arguments(function, agreeing(agreed, given, wanted))
+        _check_since(function, arguments, units, entry.since)
+        _check_signals(function, arguments, units)
+        return Figure(name, function, arguments, *_unit(function, arguments, units, entry.unit), entry.since)
 
-def _resolved(
-    name: str, function: Function, entry: FigureEntry, given: Mapping[str, Any], units: Mapping[str, str]
-) -> Figure:
-    arguments = _arguments(function, given)
-    _check_since(function, arguments, units, entry.since)
-    _check_signals(function, arguments, units)
-    return Figure(name, function, arguments, *_unit(function, arguments, units, entry.unit), entry.since)
+    return _known(rig, (entry, function, units, rig.scenario.shared), (name, pickle.dumps(declared)), make)
 
 
 def _computed(argument: Any, rig: Members) -> Any:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,12 @@ from ..judge.formula import (
     variables,
     with_names,
 )
-from ..judge.measures import UNMEASURED, Places, SignalMap, newest, places
+from ..judge.measures import UNMEASURED, Places, SignalMap, newest, places, shared
 from ..judge.one_pass import OnePass
 from ..judge.requirement_entry import Requirement
-from ..judge.robustness import Margin, Record, truth
+from ..judge.robustness import Margin, Record, decided, truth
 from ..rig.members import Members
+from ..rig.noted import Noted
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from ..timebase import SECOND
@@ -41,6 +42,8 @@ from ..wire.signals import full_name
 from ..wire.times import common, once_for_times
 
 Items = tuple[tuple[str, Any], ...]
+# So many sets of times are kept of a requirement: a study has one for all its runs, unless they end at different times.
+READY = 4
 
 
 class Measured(Protocol):
@@ -56,6 +59,16 @@ class Measured(Protocol):
 
     def __call__(self, signals: SignalMap) -> float:
         """Measure."""
+
+
+class _Ready(NamedTuple):
+    """What a margin is computed of while only the values of signals differ from run to run, not their times."""
+
+    times: tuple[Array, ...]
+    grid: Array
+    at: Mapping[str, Places]
+    constants: Array
+    window: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -81,6 +94,7 @@ class Judge:
     again: Callable[[Mapping[str, float]], Tree] | None = None
     numbers: Mapping[str, float] = field(default_factory=dict)
     native: OnePass | None = None
+    ready: dict[tuple[int, ...], _Ready] = field(default_factory=dict, compare=False, repr=False)
 
     def __call__(self, signals: SignalMap) -> float:
         """Compute the margin; raise a ValueError with the reason if it cannot be judged."""
@@ -115,6 +129,11 @@ class Judge:
         ticks, _ = signals[self.ticker]
         if not len(ticks):
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
+        all_times = ticks, *(t for t, _ in results.values())
+        key = tuple(map(id, all_times))
+        known = self.ready.get(key)
+        if known is not None and ended and (result := self._quickly(known, signals, results)) is not None:
+            return result
         grid = _grid(self.clock, ticks)
         held: dict[str, Any] = {**self.numbers}
         truths, late = {}, dict[str, NDArray[np.bool_]]()
@@ -137,7 +156,30 @@ class Judge:
         after = self.clock.next(int(grid[-1]))
         # With measured times the formula is another one, which has no instructions.
         native = self.native if tree is self.tree else None
-        return Record(grid, held, truths=truths, late=late, after=after, ended=ended).margin(tree, native)
+        record = Record(grid, held, truths=truths, late=late, after=after, ended=ended)
+        plain = native is not None and ended and not (self.figures or truths or late or is_long(grid))
+        if native is not None and plain and (window := record.window(tree)) is not None:
+            at = {name: _arrived(_whole_ns(results[name][0]), grid)[0] for name in native.names}
+            if len(self.ready) >= READY:
+                self.ready.clear()
+            # The times are stored too: while they live, no other array can have their identity.
+            self.ready[key] = _Ready(all_times, grid, at, native.constants(held), window)
+        return record.margin(tree, native)
+
+    def _quickly(self, known: _Ready, signals: SignalMap, results: Mapping[str, tuple[Array, Array]]) -> Margin | None:
+        """Return the margin in one pass, without what follows from the times alone; None where that is not enough."""
+        assert self.native is not None
+        values = {name: _held(signals, self.signals[name], results[name][1], at) for name, at in known.at.items()}
+        extreme = self.native(values, known.constants, *known.window)
+        return None if extreme is None else decided(extreme, known.grid)
+
+
+def _held(signals: SignalMap, signal: str, values: Array, at: Places) -> Array:
+    """Return the values at some places; several requirements often compare with one reference."""
+    if isinstance(at, slice):
+        return values[at]
+    # The places are kept with the result: while they live, no others can have their identity.
+    return shared(signals, ("held", signal, id(at)), lambda: (values[at], at))[0]
 
 
 def _measured(name: str, figure: Measured, signals: SignalMap) -> float:
@@ -207,14 +249,14 @@ def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], 
 
 def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     """Return the nodes that watch requirements of a rig's scenario while it runs, as entries of its nodes."""
-    numbers, signals = names_of(rig, units)
+    names = names_of(rig, units)
     nodes = {}
     for name, requirement in rig.scenario.requirements.items():
         if not (requirement.live or requirement.ends):
             continue
         # A figure is a number of the whole run, so a requirement that is watched while the rig runs must not name one.
-        judge = _named(name, rig, requirement, numbers, signals, units, {})
-        constants = _of_nodes(rig, requirement) | numbers
+        judge = _named(name, rig, requirement, names, units, {})
+        constants = _of_nodes(rig, requirement) | names[0]
         topics = {t: p for t, p in rig.topics.items() if any(s.startswith(f"{t}/") for s in judge.signals.values())}
         ports = ports_text([reader(p, f"input_{k}") for k, p in enumerate(topics.values())])
         nodes[f"requirement_{name}"] = {
@@ -255,17 +297,32 @@ def judges(rig: Members, units: Mapping[str, str], figures: Mapping[str, Measure
     """
     if not rig.scenario.requirements:
         return {}
-    numbers, signals = names_of(rig, units)
+    names = _known_names(rig, (rig.scenario.shared, units), (), lambda rig: names_of(rig, units))
     return {
-        name: _named(name, rig, requirement, numbers, signals, units, figures)
+        name: _named(name, rig, requirement, names, units, figures)
         for name, requirement in rig.scenario.requirements.items()
     }
 
 
-def _named(name: str, rig: Members, requirement: Requirement, *given: Any) -> Judge:
+# Runs of a study share the shared values and the requirements.
+_known_names = Noted[tuple[dict[str, float], dict[str, str]]]()
+_known = Noted[Judge]()
+
+
+def _named(
+    name: str,
+    rig: Members,
+    requirement: Requirement,
+    names: tuple[dict[str, float], dict[str, str]],
+    units: Mapping[str, str],
+    figures: Mapping[str, Measured],
+) -> Judge:
     """Read a requirement; errors name it."""
+    objects = requirement, names, units, *figures.values(), *(m.schedule for m in rig.members)
     try:
-        return _judge(rig, requirement, *given)
+        return _known(
+            rig, objects, rig.clock.params.period, lambda rig: _judge(rig, requirement, *names, units, figures)
+        )
     except ScenarioError as error:
         at = rig.scenario.written("requirements", name)
         raise ScenarioError(f"{rig.scenario.name}: requirement {name}: {error}{at}") from None

@@ -1,0 +1,72 @@
+"""One run of a study: its row is the one of the same run alone, whatever has run before it in the process."""
+
+import copy
+import json
+from dataclasses import replace
+from functools import partial
+
+import pytest
+from softrig_bringup.study.draw import Case
+from softrig_bringup.study.work import Work, run
+from softrig_core.scenario.scenario import read_draft
+
+DRIVE = [
+    {"im_plant.R_s": 3.7},
+    {"im_plant.R_s": 3.9},  # equal figures and requirements
+    {"im_plant.bits": 12},  # another argument of a figure, by `agreed`
+    {"im_plant.U_dc": 500.0},  # another constant of a requirement
+    {"im_plant.J": 1e-9},  # fails
+    {"im_plant.adc_mode": "none"},  # no random numbers, another text
+    {"dtc_controller.estimator": "observer"},
+    {"dtc_controller.magnetising_time": 0.008, "dtc_controller.flux_ramp": 0.008},  # another window
+    {"load_source.times": [0.0, 0.018], "load_source.values": [0.0, 5.0]},
+    {"im_plant.period": 2.5e-5, "dtc_controller.period": 2.5e-5},  # other times
+    {"im_plant.trip_current": 3.0},
+    {"im_plant.R_s": 3.7},
+]
+MOTOR = [
+    {"dc_motor_smc.delta": 0.5},
+    {"noise.value": [0.2]},
+    {"drift.from": 0.05, "drift.value": [1.0]},
+    {"dc_motor_plant.R": 1e9},
+    {"dc_motor_smc.delta": 5.0},
+    {"dc_motor_smc.delta": 0.5},
+]
+
+
+def drive():
+    """Return the drive with all figures and requirements, at a hundredth of its times."""
+    draft = read_draft("induction_dtc")
+    raw = copy.deepcopy(draft.raw)
+    raw["shared"] |= {"steady": 0.015}
+    raw["nodes"]["load_source"]["parameters"]["times"] = [0.0, 0.016]
+    raw["nodes"]["speed_source"]["parameters"]["times"] = [0.0, 0.012]
+    raw["nodes"]["dtc_controller"]["parameters"] = {"magnetising_time": 0.009, "flux_ramp": 0.009}
+    raw["requirements"]["tracks"]["formula"] = "always[loaded + 0.001, inf] abs(speed - set_speed) <= set_speed"
+    for name in ("flux_error_slope", "adc_error_mean", "adc_error_std"):
+        raw["figures"][name].setdefault("arguments", {})["start"] = 0.005
+    return replace(draft, raw=raw)
+
+
+# draft, duration, overrides
+STUDIES = {"drive": (drive, 0.02, DRIVE), "faults": (partial(read_draft, "dc_motor_smc_faults"), 1.0, MOTOR)}
+
+
+def works(study, draft, runs=2):
+    _, duration, overrides = STUDIES[study]
+    cases = [Case(k, draft.name, "", each, 1 + k // 3 % 2) for k, each in enumerate(overrides)]
+    return [Work(case, duration=duration, runs=runs, scenario=draft) for case in cases]
+
+
+def content(row):
+    return json.dumps({key: value for key, value in row.items() if key not in ("wall_s", "number")})
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_row_does_not_depend_on_the_runs_before_it(study):
+    make, draft = STUDIES[study][0], STUDIES[study][0]()
+    rows = [content(run(work)) for work in works(study, draft)]
+    # another draft shares nothing that was read of the scenario
+    alone = [content(run(work)) for work in reversed(works(study, make()))]
+    assert rows == alone[::-1]
+    assert len(set(rows)) == len(rows)  # the first and the last one differ in their seeds
