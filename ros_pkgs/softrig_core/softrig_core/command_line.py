@@ -43,19 +43,19 @@ class Number:
             value = math.nan
         if self.low <= value <= self.high and math.isfinite(value):
             return value
-        what = "a whole number" if self.kind is int else "a number"
+        noun = "a whole number" if self.kind is int else "a number"
         bound = f"of at least {self.low:g}" if math.isinf(self.high) else f"from {self.low:g} to {self.high:g}"
-        raise argparse.ArgumentTypeError(f"expected {what} {bound}, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected {noun} {bound}, got {text!r}")
 
 
 def named(text: str, option: str, form: str) -> tuple[str, str]:
     """Split the value of an option, ``NAME=...``; raise a ScenarioError with the expected form."""
-    name, _, given = (part.strip() for part in text.partition("="))
-    if not (name and given):
+    name, _, value = (part.strip() for part in text.partition("="))
+    if not (name and value):
         raise ScenarioError(f"{option} {text!r}: expected NAME={form}")
     if name.endswith(":"):  # as ROS remaps
-        raise ScenarioError(f"{option} {text!r}: expected {name[:-1]}={given}, without the colon of ros2")
-    return name, given
+        raise ScenarioError(f"{option} {text!r}: expected {name[:-1]}={value}, without the colon of ros2")
+    return name, value
 
 
 def pair(text: str) -> str:
@@ -164,5 +164,5 @@ class Parser(argparse.ArgumentParser):
             near = f" (did you mean `{self.meant[wrong[2]]}`?)" if wrong[2] in self.meant else closest(wrong[2], known)
             message = f"{wrong[1]} {wrong[2]!r} is unknown{near}; expected {', '.join(known)}"
         verb = self.prog.partition(" ")[2]
-        place = f"{verb}: " if verb else ""
-        raise ScenarioError(f"{place}{message}; `{self.prog} --help` shows what there is")
+        prefix = f"{verb}: " if verb else ""
+        raise ScenarioError(f"{prefix}{message}; `{self.prog} --help` shows what there is")

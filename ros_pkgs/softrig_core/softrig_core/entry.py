@@ -16,12 +16,12 @@ class Entry(BaseModel):
 
     @field_validator("*", mode="wrap")
     @classmethod
-    def _plain_numbers(cls, given: Any, validated: ValidatorFunctionWrapHandler) -> Any:
-        value = validated(given)
-        if type(given) in _MAYBE:
-            if _switches(given) and not _switches(value):
+    def _plain_numbers(cls, raw: Any, validated: ValidatorFunctionWrapHandler) -> Any:
+        value = validated(raw)
+        if type(raw) in _MAYBE:
+            if _switches(raw) and not _switches(value):
                 raise ValueError("expected a number, not true or false")
-            _check_digits(given, value)
+            _check_digits(raw, value)
         return value
 
 
@@ -29,11 +29,11 @@ def _switches(value: Any) -> bool:
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_switches, value)))
 
 
-def _check_digits(given: Any, value: Any) -> None:
+def _check_digits(raw: Any, value: Any) -> None:
     """Refuse a number with underscores: pydantic reads 1_000 as Python does, other readers of YAML and ROS do not."""
-    if isinstance(given, str):
-        if isinstance(value, int | float) and "_" in given:
-            raise ValueError(f"expected a number without underscores, {given.replace('_', '')}")
-    elif isinstance(given, list | tuple) and isinstance(value, list | tuple) and len(given) == len(value):
-        for one, read in zip(given, value, strict=True):
-            _check_digits(one, read)
+    if isinstance(raw, str):
+        if isinstance(value, int | float) and "_" in raw:
+            raise ValueError(f"expected a number without underscores, {raw.replace('_', '')}")
+    elif isinstance(raw, list | tuple) and isinstance(value, list | tuple) and len(raw) == len(value):
+        for item, read in zip(raw, value, strict=True):
+            _check_digits(item, read)

@@ -36,18 +36,18 @@ def describe(error: BaseException) -> str:
     """
     try:
         text = str(error)
-    except Exception as other:  # in the code of a class of the user's
-        text = f"(no text: {type(other).__name__})"
-    what = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    except Exception as inner:  # in the code of a class of the user's
+        text = f"(no text: {type(inner).__name__})"
+    line = f"{type(error).__name__}: {text}" if text else type(error).__name__
     if isinstance(error, SyntaxError) and error.filename:
         return f"{type(error).__name__}: {error.msg} ({error.filename}, line {error.lineno})"
-    ours = (*_LIBRARIES, _OURS, "<")
-    places = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(ours)]
-    return f"{what} ({places[-1].filename}, line {places[-1].lineno})" if places else what
+    skipped = (*_LIBRARIES, _OURS, "<")
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(skipped)]
+    return f"{line} ({frames[-1].filename}, line {frames[-1].lineno})" if frames else line
 
 
 @contextmanager
-def blaming(where: str) -> Iterator[None]:
+def blaming(source: str) -> Iterator[None]:
     """Report an error of a user's code within the ``with`` block as bad input at a named place.
 
     Raises
@@ -61,20 +61,20 @@ def blaming(where: str) -> Iterator[None]:
     except ScenarioError:
         raise
     except ValueError as error:
-        raise ScenarioError(f"{where}: {error}") from None
+        raise ScenarioError(f"{source}: {error}") from None
     except FAILURES as error:
-        raise ScenarioError(f"{where}: {describe(error)}") from error
+        raise ScenarioError(f"{source}: {describe(error)}") from error
 
 
 def closest(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest of some names, as the end of a message."""
     from difflib import get_close_matches
 
-    folded = {one.casefold(): one for one in known}  # a capital letter is the most likely mistake of all
+    folded = {n.casefold(): n for n in known}  # a capital letter is the most likely mistake of all
     word = name.casefold()
     near = get_close_matches(word, list(folded), 1)
     if not near and len(word) > 2:  # a part of it: `velocity` of motor/state/shaft/velocity
-        near = sorted((one for one in folded if word in one), key=len)[:1]
+        near = sorted((n for n in folded if word in n), key=len)[:1]
     return f" (did you mean {folded[near[0]]!r}?)" if near else ""
 
 
@@ -82,8 +82,8 @@ def nearby(path: Path) -> str:
     """Suggest existing results for a path that does not exist, as the end of a message."""
     from difflib import get_close_matches
 
-    if (there := Path("runs", path.name)).exists():  # where results are written without --out
-        return f" (did you mean {str(there)!r}?)"
+    if (results := Path("runs", path.name)).exists():  # where results are written without --out
+        return f" (did you mean {str(results)!r}?)"
     folder = path.parent
     near = get_close_matches(path.name, [p.name for p in folder.iterdir()], 1) if folder.is_dir() else []
     return f" (did you mean {str(folder / near[0])!r}?)" if near else ""

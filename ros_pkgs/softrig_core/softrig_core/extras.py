@@ -35,14 +35,14 @@ EXTRAS = {
 OF_PIP = ("casadi", "control", "sentil", "pycparser", "mcap", "lz4", "backports.zstd")
 
 
-def need(package: str, what: str) -> None:
+def need(package: str, user: str) -> None:
     """Install a package if it cannot be imported.
 
     Parameters
     ----------
     package : str
         One of `EXTRAS` or `OF_PIP`.
-    what : str
+    user : str
         The feature that needs it, as named in the error.
 
     Raises
@@ -53,15 +53,15 @@ def need(package: str, what: str) -> None:
     if _there(package):
         return
     if package in OF_PIP:
-        raise ScenarioError(f"{what} needs the package {package!r}: pip install {package}")
+        raise ScenarioError(f"{user} needs the package {package!r}: pip install {package}")
     extra = EXTRAS[package]
     if command := os.environ.get("SOFTRIG_COMMAND"):
         subprocess.run([command, "setup", extra], stdin=subprocess.DEVNULL, check=False)  # prints its own lines
         importlib.invalidate_caches()
         if _there(package):
             return
-        raise ScenarioError(f"{what} needs the package {package!r}: {command} setup {extra} (see above why it failed)")
-    raise ScenarioError(f"{what} needs the package {package!r}: pip install 'softrig[{extra}]', or {package} by itself")
+        raise ScenarioError(f"{user} needs the package {package!r}: {command} setup {extra} (see above why it failed)")
+    raise ScenarioError(f"{user} needs the package {package!r}: pip install 'softrig[{extra}]', or {package} by itself")
 
 
 def _there(package: str) -> bool:

@@ -75,8 +75,8 @@ def _guarded(work: Callable[[], int]) -> int:
     except ScenarioError as error:
         # the error has a cause: it is from a user's package, whose traceback explains more than a line (a bag's does
         # not)
-        ours = type(error) is not ScenarioError or error.__cause__ is None
-        print_line(error if ours else f"{error}; the traceback is in {keep_traceback()}")
+        own_error = type(error) is not ScenarioError or error.__cause__ is None
+        print_line(error if own_error else f"{error}; the traceback is in {keep_traceback()}")
         return 2
     except BrokenPipeError:  # whoever read our output has enough
         return 141
@@ -119,9 +119,9 @@ def stopped_by(error: KeyboardInterrupt) -> str:
 def end_within(seconds: float, status: int) -> None:
     """End the process after some time, even if threads or processes of a user's code are still running."""
     known: Any = sys.modules.get("multiprocessing")  # else there are none of its processes
-    others = [one for one in threading.enumerate() if one is not threading.main_thread()]
-    others += known.active_children() if known else []
-    names = ", ".join(one.name for one in others if not one.daemon)
+    running = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    running += known.active_children() if known else []
+    names = ", ".join(thread.name for thread in running if not thread.daemon)
     if not names:
         return
 
@@ -176,33 +176,33 @@ def is_quiet() -> bool:
     return _quiet
 
 
-def print_line(what: object) -> None:
+def print_line(event: object) -> None:
     """Print one short line about an event."""
-    print_for("softrig", what)
+    print_for("softrig", event)
 
 
-def _warn(other: Callable[..., None], message: Warning | str, category: type[Warning], *remaining: Any) -> None:
+def _warn(show: Callable[..., None], message: Warning | str, category: type[Warning], *remaining: Any) -> None:
     """Print a warning about an old name as one line; Python shows all others."""
     if issubclass(category, FutureWarning):
         print_line(message)
     else:
-        other(message, category, *remaining)
+        show(message, category, *remaining)
 
 
-def incomplete(what: object) -> None:
+def incomplete(event: object) -> None:
     """Print one line about input that was not read completely; the exit status is then not 0."""
     global _incomplete
     _incomplete = True
-    print_line(what)
+    print_line(event)
 
 
-def print_for(who: str, what: object) -> None:
+def print_for(source: str, event: object) -> None:
     """Print one line prefixed with a name; a closed output is ignored."""
-    text = plain(" ".join(str(what).split()))
+    text = plain(" ".join(str(event).split()))
     with suppress(OSError, ValueError):
         # A message quotes the input first and ends with what was expected, so a long quotation loses its middle.
         shown = text if len(text) <= LINE else f"{text[: LINE // 2]} ... {text[-LINE // 2 :]}"
-        print(f"{who}: {shown}", file=sys.stderr, flush=True)
+        print(f"{source}: {shown}", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -78,10 +78,10 @@ def quiet_imports() -> None:
 
 def _while_importing(number: int, frame: FrameType | None) -> None:
     frames = []
-    at = frame
-    while at is not None:
-        frames.append(at)
-        at = at.f_back
+    current = frame
+    while current is not None:
+        frames.append(current)
+        current = current.f_back
     # imports of the script itself, or of setuptools for it; an import in a function means that the program is running
     first = frames[-2].f_code if len(frames) > 1 else None
     if first is not None and (
@@ -92,5 +92,5 @@ def _while_importing(number: int, frame: FrameType | None) -> None:
 
 
 def _is_pythons_own() -> bool:
-    ours = threading.current_thread() is threading.main_thread()
-    return ours and signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _while_importing)
+    in_main = threading.current_thread() is threading.main_thread()
+    return in_main and signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _while_importing)

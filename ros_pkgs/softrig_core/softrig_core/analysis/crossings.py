@@ -45,8 +45,8 @@ def resolved(response: Response, omega: Array) -> tuple[Array, NDArray[np.comple
         if not wide.any():
             break
         between = (0.5 * (omega[:-1] + omega[1:]))[wide]
-        places = np.flatnonzero(wide) + 1
-        omega, L = np.insert(omega, places, between), np.insert(L, places, response(between))
+        indices = np.flatnonzero(wide) + 1
+        omega, L = np.insert(omega, indices, between), np.insert(L, indices, response(between))
     return omega, L
 
 
@@ -84,8 +84,8 @@ def phase_crossings(response: Response, omega: Array, L: NDArray[np.complex128])
         As `resolved` returns them.
     """
     result = _roots(lambda w: response(w).imag, omega, L.imag)
-    there = response(result)
-    return result[(there.real < 0.0) & (np.abs(there.imag) < ON_AXIS * np.abs(there))]
+    values = response(result)
+    return result[(values.real < 0.0) & (np.abs(values.imag) < ON_AXIS * np.abs(values))]
 
 
 def _roots(function: Callable[[Array], Array], omega: Array, values: Array) -> Array:

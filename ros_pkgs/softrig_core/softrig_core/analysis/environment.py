@@ -268,10 +268,10 @@ class RigEnv(gym.Env[Array, Array]):
         """
         if self._ticks is None:
             raise RuntimeError("no episode is under way: reset() begins one")
-        given = np.asarray(action, dtype=np.float64)
-        if given.shape != self.action_space.shape or not np.isfinite(given).all():
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != self.action_space.shape or not np.isfinite(values).all():
             raise ValueError(f"expected an action of {self.action_space.shape} finite numbers, got {action!r}")
-        self._action = given
+        self._action = values
         ended = self._go_on()
         terminated = isinstance(ended, str)
         info = self._info() | ({"error": ended} if terminated else {})
@@ -381,16 +381,16 @@ def _law(rig: Rig, name: str) -> Member:
     for member in rig.members:
         if member.name == name and name in laws:
             return member
-    what = "is a plant or publishes nothing" if any(m.name == name for m in rig.members) else "is not there"
-    raise ScenarioError(f"{rig.scenario.name}: replace {name!r}: it {what}; expected one of {', '.join(laws)}")
+    reason = "is a plant or publishes nothing" if any(m.name == name for m in rig.members) else "is not there"
+    raise ScenarioError(f"{rig.scenario.name}: replace {name!r}: it {reason}; expected one of {', '.join(laws)}")
 
 
 def _without(law: Member, value: Any) -> Any:
     """Copy plain data, with the values of a controller's parameters in place of references to them."""
     if isinstance(value, str):
         reference = rf"(?<!\$)\${re.escape(law.name)}\.([\w.]+)"
-        if whole := re.fullmatch(reference, value):
-            return pick(flatten(law.params), whole[1])
+        if single := re.fullmatch(reference, value):
+            return pick(flatten(law.params), single[1])
         # Within a formula or arithmetic the value stands in brackets, because it may be negative.
         return re.sub(reference, lambda match: f"({pick(flatten(law.params), match[1])!r})", value)
     if isinstance(value, Mapping):
@@ -432,10 +432,10 @@ def _limits(ports: Sequence[Port]) -> dict[str, float]:
     return {f"{p.topic}/{label}": m for p in ports for label, m in zip(p.labels, p.limits, strict=True)}
 
 
-def _bounds(given: Signals | None, signals: Sequence[str], limits: Mapping[str, float]) -> list[tuple[float, float]]:
+def _bounds(bounds: Signals | None, signals: Sequence[str], limits: Mapping[str, float]) -> list[tuple[float, float]]:
     """Return the bounds of signals: those of a mapping, in its order, or the limits of their ports."""
-    if isinstance(given, Mapping):
-        return [(float(low), float(high)) for low, high in given.values()]
+    if isinstance(bounds, Mapping):
+        return [(float(low), float(high)) for low, high in bounds.values()]
     return [(-limits[s], limits[s]) for s in signals]
 
 

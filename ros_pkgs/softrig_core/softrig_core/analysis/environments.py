@@ -149,8 +149,8 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         ValueError
             Another shape, a value or a reward that is not finite.
         """
-        given = np.ascontiguousarray(actions, np.float64)
-        if given.shape != self.action_space.shape or not np.isfinite(given).all():
+        rows = np.ascontiguousarray(actions, np.float64)
+        if rows.shape != self.action_space.shape or not np.isfinite(rows).all():
             raise ValueError(f"expected actions of {self.action_space.shape} finite numbers, got {actions!r}")
         terminated, truncated = np.zeros((2, self.num_envs), np.bool_)
         errors: dict[int, str] = {}
@@ -158,7 +158,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
 
         def by_python(j: int) -> None:
             self._loaded(j)
-            late[j], _, terminated[j], truncated[j], info = self.envs[j].step(given[j])
+            late[j], _, terminated[j], truncated[j], info = self.envs[j].step(rows[j])
             if terminated[j]:
                 errors[j] = info["error"]
             self._store_outputs(j)
@@ -169,10 +169,10 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         for j in np.flatnonzero(~begun & ((self._k < 0) | (self._k >= self._last))).tolist():
             by_python(j)
         if self._text is not None and len(late) < self.num_envs:
-            self._moved(given, by_python)
+            self._moved(rows, by_python)
         observed = np.empty((self.num_envs, len(self.envs[0].held)))
-        for column, place in enumerate(self._observes if len(late) < self.num_envs else ()):
-            observed[:, column] = self.now.rows[place] if type(place) is int else place
+        for column, index in enumerate(self._observes if len(late) < self.num_envs else ()):
+            observed[:, column] = self.now.rows[index] if type(index) is int else index
         for j, row in late.items():
             observed[j] = row
         for j in late:
@@ -312,13 +312,13 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         result: list[Any] = []
         for port, k in block.observed:
             fill = agent.fed.get(port.name)
-            place = port.safe[k] if fill is None else fill.places[k]
-            if fill is not None and type(place) is int:
-                place += first[id(fill.source)] + sum(p.size for p in fill.source.outputs[: fill.output])
-            result.append(place)
+            index = port.safe[k] if fill is None else fill.places[k]
+            if fill is not None and type(index) is int:
+                index += first[id(fill.source)] + sum(p.size for p in fill.source.outputs[: fill.output])
+            result.append(index)
         return result
 
-    def _moved(self, given: Any, by_python: Callable[[int], None]) -> None:
+    def _moved(self, actions: Any, by_python: Callable[[int], None]) -> None:
         """Advance the native instances; Python runs the steps that native code discards."""
         assert self._text is not None
         begin, n = 0, np.zeros(2, np.int64)
@@ -334,7 +334,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
                     self._numbers,
                     self._whole,
                     self.now.rows,
-                    given,
+                    actions,
                     self._k,
                     *tables,
                 )

@@ -97,13 +97,13 @@ class Sampled:
         # Only the float fields come from x; other fields of the state (counters, flags) keep their first values.
         first = self.plant.first()
         now = put(first, split(first, x))
-        given, at = {}, 0
+        inputs, k = {}, 0
         for port in self.inputs:
-            given[port.name] = tuple(u[at : at + port.size].tolist())
-            at += port.size
+            inputs[port.name] = tuple(u[k : k + port.size].tolist())
+            k += port.size
         outputs = self.plant.outputs(now, self.t)
         y = [value for port in self.outputs for value in outputs[port.name]]
-        after = numbers(self.plant.advance(now, self.t, **given))
+        after = numbers(self.plant.advance(now, self.t, **inputs))
         return (after - x) / self.period, np.array(y, dtype=float)
 
     def linearise(self, x: Sequence[float], u: Sequence[float]) -> Linear:
@@ -123,10 +123,10 @@ def linearise(model: Any, x: Sequence[float], u: Sequence[float]) -> Linear:
     x, u : sequence of float
         Operating point; it need not be an equilibrium.
     """
-    at, held = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
-    evaluate, jacobian = _derivatives(model, at.size, held.size)
-    (A, B), (C, D) = jacobian(at, held)
-    return Linear(A, B, C, D, at, held, evaluate(at, held)[1])
+    point, inputs = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
+    evaluate, jacobian = _derivatives(model, point.size, inputs.size)
+    (A, B), (C, D) = jacobian(point, inputs)
+    return Linear(A, B, C, D, point, inputs, evaluate(point, inputs)[1])
 
 
 def equilibrium(
@@ -168,23 +168,23 @@ def equilibrium(
     RunError
         Newton's method did not converge; the error contains the remaining distance.
     """
-    at, inputs = np.array(x, dtype=float), np.array(u, dtype=float)
-    evaluate, jacobian = _derivatives(model, at.size, inputs.size)
-    rows = [i for i in range(at.size) if i not in moving]
-    columns = [i for i in range(at.size) if i not in held and i not in moving]
+    states, inputs = np.array(x, dtype=float), np.array(u, dtype=float)
+    evaluate, jacobian = _derivatives(model, states.size, inputs.size)
+    rows = [i for i in range(states.size) if i not in moving]
+    columns = [i for i in range(states.size) if i not in held and i not in moving]
     if len(columns) + len(free) != len(rows):
         raise ValueError(
             f"{len(columns)} states and {len(free)} inputs are free, expected {len(rows)} in all: one for "
             "each derivative that is to vanish"
         )
     # The 1 keeps the tolerance above zero when the starting point is nearly at rest.
-    scale = 1.0 + float(np.abs(evaluate(at, inputs)[0][rows]).max(initial=0.0))
+    scale = 1.0 + float(np.abs(evaluate(states, inputs)[0][rows]).max(initial=0.0))
     for _ in range(50):
-        residual = evaluate(at, inputs)[0][rows]
+        residual = evaluate(states, inputs)[0][rows]
         size = float(np.abs(residual).max(initial=0.0))
         if size <= tolerance * scale:
-            return at, inputs
-        (A, B), _ = jacobian(at, inputs)
+            return states, inputs
+        (A, B), _ = jacobian(states, inputs)
         try:
             # The kit's own elimination has the same bits on every CPU, unlike LAPACK.
             move = solve(np.hstack([A[np.ix_(rows, columns)], B[np.ix_(rows, list(free))]]), residual)
@@ -193,7 +193,7 @@ def equilibrium(
         # Far from the equilibrium a full step may overshoot, so it is halved until the largest derivative decreases.
         share = 1.0
         while share > 1e-6:
-            new_x, new_u = at.copy(), inputs.copy()
+            new_x, new_u = states.copy(), inputs.copy()
             new_x[columns] -= share * move[: len(columns)]
             new_u[list(free)] -= share * move[len(columns) :]
             result = np.abs(evaluate(new_x, new_u)[0][rows]).max()
@@ -201,7 +201,7 @@ def equilibrium(
             if result < size:
                 break
             share /= 2.0
-        at, inputs = new_x, new_u
+        states, inputs = new_x, new_u
     raise RunError(f"no equilibrium found near x = {list(x)}, u = {list(u)}: the largest derivative left is {size:.3g}")
 
 

@@ -192,7 +192,7 @@ class LinearView:
         if not self.link:
             raise ScenarioError(f"{self.rig}: no link is opened")
         on = _between(self.a, self.b, self.c)
-        names = [name for name, there in zip(self.states, on, strict=True) if there]
+        names = [name for name, used in zip(self.states, on, strict=True) if used]
         return self.a[np.ix_(on, on)], self.b[on], self.c[on], self.d, names
 
     @cached_property
@@ -248,8 +248,8 @@ class LinearView:
             # A lightly damped pole is narrower than the spacing of the other frequencies.
             if 0.0 < width < 0.1 * abs(rate.imag):
                 results.append(abs(rate.imag) + width * np.linspace(-5.0, 5.0, 41))
-        whole = np.unique(np.concatenate(results))
-        return whole[(whole >= low) & (whole <= top)]
+        grid = np.unique(np.concatenate(results))
+        return grid[(grid >= low) & (grid <= top)]
 
     def at_frequencies(self, omega: Array) -> NDArray[np.complex128]:
         """Return the opened loop L(exp(j omega T)).
@@ -266,8 +266,8 @@ class LinearView:
 
         # In triangular form each frequency costs a substitution instead of a factorisation.
         T, left, right = self._triangular
-        one, points = np.eye(len(b)), np.exp(1j * np.asarray(omega) * self.period)
-        return np.array([-left @ scipy.linalg.solve_triangular(z * one - T, right) - d for z in points], dtype=complex)
+        eye, points = np.eye(len(b)), np.exp(1j * np.asarray(omega) * self.period)
+        return np.array([-left @ scipy.linalg.solve_triangular(z * eye - T, right) - d for z in points], dtype=complex)
 
     @cached_property
     def _triangular(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
@@ -344,10 +344,10 @@ class LinearView:
         for z in (1.0, -1.0):
             # The opened loop may have a pole there itself.
             with suppress(np.linalg.LinAlgError):
-                parts = [*(c * np.linalg.solve(z * np.eye(len(b)) - A, b)).tolist(), d]
-                back = math.fsum(parts)
+                terms = [*(c * np.linalg.solve(z * np.eye(len(b)) - A, b)).tolist(), d]
+                back = math.fsum(terms)
                 # A smaller sum is zero within rounding, and a larger one means a pole of the opened loop at z.
-                if NOTHING * math.fsum(map(abs, parts)) < back < 1.0 / NOTHING:
+                if NOTHING * math.fsum(map(abs, terms)) < back < 1.0 / NOTHING:
                     result.append((1.0 / back, complex(z)))
         return result
 
@@ -421,19 +421,19 @@ def linear_view(
     observed = named
     # The link does not depend on plants outside of its loop, so their states would only make the view larger.
     if opened and outputs is None:
-        whole = upstream(place_of(rig, opened).member)
-        observed = [s for s in plant_outputs(rig) if place_of(rig, s).member.name in whole]
+        involved = upstream(place_of(rig, opened).member)
+        observed = [s for s in plant_outputs(rig) if place_of(rig, s).member.name in involved]
     elif outputs is None:
         observed = plant_outputs(rig)
     messages = list(dict.fromkeys([*observed, *([opened] if opened else [])]))
     if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed_of(seed)
-    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
-    result = StateMap(rig, at, number, messages, [*given, *([opened] if opened else [])], FOLLOWED)
+    driven = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
+    result = StateMap(rig, at, number, messages, [*driven, *([opened] if opened else [])], FOLLOWED)
     if opened:
         _check_link(result, opened)
-    view = Differences(result, observed, given, opened).view()
+    view = Differences(result, observed, driven, opened).view()
     if lost := [name for name in named if name in view.left_out]:
         raise RunError(f"{rig.scenario.name}: {lost[0]} {view.left_out[lost[0]]}")
     return view
@@ -536,10 +536,10 @@ def linear_along(
     messages = [signal_of(rig, name) for name in outputs] if outputs is not None else plant_outputs(rig)
     if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
-    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
+    driven = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
     number = rig.scenario.seed_of(seed)
-    result = StateMap(rig, at, number, messages, given, max(FOLLOWED, periods))
-    return Differences(result, messages, given, "").along(periods)
+    result = StateMap(rig, at, number, messages, driven, max(FOLLOWED, periods))
+    return Differences(result, messages, driven, "").along(periods)
 
 
 def _command(rig: Rig) -> str:
@@ -563,15 +563,15 @@ def plant_outputs(rig: Rig) -> list[str]:
 
 def _source_inputs(rig: Rig, texts: Sequence[str]) -> list[str]:
     """Return the sources' outputs to nodes with states, at least as often as those nodes are due."""
-    whole: dict[str, Any] = {}
+    involved: dict[str, Any] = {}
     for name in texts:
-        upstream(place_of(rig, name).member, whole)
-    every = math.lcm(*(m.schedule.every for m in whole.values() if not is_source(m)))
+        upstream(place_of(rig, name).member, involved)
+    every = math.lcm(*(m.schedule.every for m in involved.values() if not is_source(m)))
     return [
         f"{p.topic}/{x}"
         for m in rig.members
         # In a period without a tick of a slower source nothing could be added to its output, so B has no column for it.
-        if m.name in whole and is_source(m) and every % m.schedule.every == 0
+        if m.name in involved and is_source(m) and every % m.schedule.every == 0
         for p in m.outputs
         if not p.sporadic
         for x in p.labels
@@ -633,21 +633,21 @@ class Differences:
             self._signal(name)
         self._explore()
         on = self._on()
-        whole = self._square(on)
+        full = self._square(on)
         received = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.measured), len(on))
-        counts = _reach(whole.T, (received != 0.0).any(axis=0))
+        counts = _reach(full.T, (received != 0.0).any(axis=0))
         # A value that nothing moves acts like a parameter here.
-        held = (whole == np.eye(len(on))).all(axis=1)
+        constant = (full == np.eye(len(on))).all(axis=1)
         # So is a plant's copy of its command, which is replaced in each period.
-        held |= self.map.resting[on] & (whole == 0.0).all(axis=1)
+        constant |= self.map.resting[on] & (full == 0.0).all(axis=1)
         for key, (column, _) in self.columns.items():
             if isinstance(key, str):
-                held &= column[on] == 0.0
-        counts &= ~held
-        kept = [i for i, there in zip(on, counts, strict=True) if there]
+                constant &= column[on] == 0.0
+        counts &= ~constant
+        kept = [i for i, counted in zip(on, counts, strict=True) if counted]
         if len(kept) > MOST:
             self._too_many(kept)
-        return kept, whole[np.ix_(counts, counts)], received[:, counts]
+        return kept, full[np.ix_(counts, counts)], received[:, counts]
 
     def _explore(self) -> None:
         """Find the columns of the states that have moved in the run, that rest in a plant, or that a known column
@@ -697,11 +697,11 @@ class Differences:
     def _square(self, on: list[int]) -> Array:
         return np.array([self.columns[i][0][on] for i in on]).T.reshape(len(on), len(on))
 
-    def _too_many(self, places: list[int]) -> NoReturn:
-        where = Counter(self.map.names[i].partition("[")[0] for i in places)
-        name, most = where.most_common(1)[0]
+    def _too_many(self, indices: list[int]) -> NoReturn:
+        counts = Counter(self.map.names[i].partition("[")[0] for i in indices)
+        name, most = counts.most_common(1)[0]
         raise RunError(
-            f"{self.map.rig.scenario.name}: {len(places)} numbers move, {most} of them in {name}, expected at most "
+            f"{self.map.rig.scenario.name}: {len(indices)} numbers move, {most} of them in {name}, expected at most "
             f"{MOST} states: a long delay has one or more for each of its steps; choose longer steps by --set"
         )
 
@@ -774,9 +774,9 @@ class Differences:
         size = _power(abs(self.published[name]) or 1.0)
 
         def at(height: float) -> tuple[Array, Array, float, str]:
-            given = {name: height}
-            x, outputs = self.map(self.map.start, given, self.fixed)
-            return x, np.array([outputs[s] for s in self.measured]), height, self._parted(self.map.start, given)
+            added = {name: height}
+            x, outputs = self.map(self.map.start, added, self.fixed)
+            return x, np.array([outputs[s] for s in self.measured]), height, self._parted(self.map.start, added)
 
         self.columns[name], self.steps[name] = self._column(name, at, size)
 
@@ -794,10 +794,10 @@ class Differences:
 
     def _parted(self, numbers: Array, added: Mapping[str, float]) -> str:
         """Name a value that is not a float, changes with the moved value, and has an effect; empty if there is none."""
-        now, then = self.map.others(), self.others
-        if now == then:
+        now, before = self.map.others(), self.others
+        if now == before:
             return ""
-        name = next((new for (new, x), (_, y) in zip(now, then, strict=False) if x != y), (now + then)[-1][0])
+        name = next((new for (new, x), (_, y) in zip(now, before, strict=False) if x != y), (now + before)[-1][0])
         return name if self.map.follows(numbers, added, self.fixed) else ""
 
     def _column(self, key: int | str, at: Any, size: float) -> tuple[tuple[Array, Array], float]:
@@ -854,15 +854,15 @@ class Differences:
         outputs before it.
         """
         m, off = self.map, times * self._off(kept)
-        ways = []
+        courses = []
         # The half difference of two opposite offsets cancels the even terms, so a curvature does not count as an error.
         for sign in (1.0, -1.0):
             start = m.start.copy()
             start[kept] += sign * off
-            ways.append(
+            courses.append(
                 [(x[kept], np.array([outputs[s] for s in self.outputs])) for x, outputs in m.go_on(start, periods)]
             )
-        for (up, heard_up), (down, heard_down) in zip(*ways, strict=True):
+        for (up, heard_up), (down, heard_down) in zip(*courses, strict=True):
             yield 0.5 * (up - down), 0.5 * (heard_up - heard_down)
 
     def _variation(self, kept: list[int], A: Array, C: Array, judged: NDArray[np.bool_]) -> tuple[float, list[float]]:
@@ -872,13 +872,13 @@ class Differences:
         off, sizes = self._off(kept), self._sizes(kept)
         worst = largest = 0.0
         simulated, predicted = [], []
-        for k, (seen, received) in enumerate(self._apart(kept, COMPARED_PERIODS)):
+        for k, (moved, received) in enumerate(self._apart(kept, COMPARED_PERIODS)):
             simulated.append(received)
             predicted.append(C @ off)
             off = A @ off
             if k < CHECKED and judged.any():
-                worst = max(worst, float(np.abs((seen - off) / sizes)[judged].max()))
-                largest = max(largest, float(np.abs(seen / sizes)[judged].max()))
+                worst = max(worst, float(np.abs((moved - off) / sizes)[judged].max()))
+                largest = max(largest, float(np.abs(moved / sizes)[judged].max()))
         return worst / largest if largest else 0.0, shares(np.array(simulated), np.array(predicted))
 
     def _sizes(self, kept: list[int]) -> Array:
@@ -903,18 +903,18 @@ class Differences:
             result = {self.outputs[k]: why for k in quiet if late[k]}
         if not far:
             return result
-        seen = np.array([y for _, y in self._apart(kept, COMPARED_PERIODS)])
-        own, off = [], self._off(kept)
+        moved = np.array([y for _, y in self._apart(kept, COMPARED_PERIODS)])
+        linear, off = [], self._off(kept)
         t, start = self.map.t, self.map
         for _ in range(LATER + 1):
-            own.append(self.rows(kept)[1] @ off)
+            linear.append(self.rows(kept)[1] @ off)
             off = A @ off
             # An output that turns with an angle has another row at each tick, so the rows are taken along the run.
             start.advance()
-        turning = shares(seen[: LATER + 1], np.array(own))
+        turning = shares(moved[: LATER + 1], np.array(linear))
         for k, error in far.items():
             silent = not C[k].any()
-            if turning[k] <= LEFT_OUT and not (silent and not np.any(own, axis=0)[k]):
+            if turning[k] <= LEFT_OUT and not (silent and not np.any(linear, axis=0)[k]):
                 why = "is another function of the states at each tick (it turns with an angle, or the run moves on)"
                 why += "; a view along the run carries it: --along"
             elif silent:
@@ -944,11 +944,11 @@ class Differences:
         if not kept:
             raise RunError(f"{m.rig.scenario.name}: no output depends on a state at {t:g} s")
         sizes, off = self._sizes(kept), self._off(kept)
-        seen = list(self._apart(kept, periods))
+        moved = list(self._apart(kept, periods))
         results = []
         worst = largest = 0.0
         simulated, predicted = [], []
-        for x, y in seen:
+        for x, y in moved:
             (A, C), (B, D) = self.rows(kept), self.driven(kept)
             results.append((A, B, C, D))
             simulated.append(y)
@@ -980,7 +980,7 @@ class Differences:
         while True:
             off = np.zeros(len(m.start))
             off[sorted(reached)] = self._off(sorted(reached))
-            ups, downs = ([x for x, _ in m.go_on(m.start + way, periods)] for way in (off, -off))
+            ups, downs = ([x for x, _ in m.go_on(m.start + shift, periods)] for shift in (off, -off))
             moved = np.any([up != down for up, down in zip(ups, downs, strict=True)], axis=0)
             new = {int(i) for i in np.flatnonzero(moved & self.finite)} - reached
             # A state that no output depends on at the first period may be moved by others later, so the set grows until
@@ -1017,9 +1017,9 @@ class Differences:
         return (up[0][kept] - down[0][kept]) / width, y / width
 
 
-def shares(seen: Array, values: Array) -> list[float]:
+def shares(actual: Array, values: Array) -> list[float]:
     """Return the largest difference of two courses of each output, relative to the largest value of both."""
-    apart, largest = np.abs(seen - values).max(axis=0), np.maximum(np.abs(seen), np.abs(values)).max(axis=0)
+    apart, largest = np.abs(actual - values).max(axis=0), np.maximum(np.abs(actual), np.abs(values)).max(axis=0)
     return (apart / np.where(largest > 0.0, largest, 1.0)).tolist()  # type: ignore[no-any-return]
 
 

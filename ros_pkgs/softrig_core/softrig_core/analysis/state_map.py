@@ -171,11 +171,11 @@ class StateMap:
         self, rig: Rig, at: float, seed: int, outputs: Sequence[str], inputs: Sequence[str], periods: int
     ) -> None:
         self.places = {name: place_of(rig, name) for name in (*outputs, *inputs)}
-        whole: dict[str, Member] = {}
+        involved: dict[str, Member] = {}
         for name in (*outputs, *inputs):
-            upstream(self.places[name].member, whole)
+            upstream(self.places[name].member, involved)
         names = {self.places[n].member.name for n in (*outputs, *inputs)}
-        due = [m for m in whole.values() if m.name in names or not is_source(m)]
+        due = [m for m in involved.values() if m.name in names or not is_source(m)]
         every = math.lcm(*(m.schedule.every for m in due))
         clock = rig.clock.params.period
         self.period = every * clock
@@ -190,7 +190,7 @@ class StateMap:
         # No plant moves beyond the end of a run, so the rig runs one period longer than the map needs.
         rig = rig_of(rig, duration=max((first + periods + 1) * self.period, rig.scenario.duration))
         self.rig, self.t = rig, first * self.period
-        self._wire(seed, [m.name for m in rig.members if m.name in whole])
+        self._wire(seed, [m.name for m in rig.members if m.name in involved])
         self._every = every // self._loop.plan.stride
         self._first = first * self._every
         self._run_to_start()
@@ -245,10 +245,10 @@ class StateMap:
         self.moved = self.moved | (once != self.start)
         plants = {m.name for m in self.rig.members if m.is_plant}
         self.resting = np.zeros(len(self.start), bool)
-        for (name, step), here in zip(self._steps.items(), self._slices, strict=True):
+        for (name, step), span in zip(self._steps.items(), self._slices, strict=True):
             # The numbers of a member are those of its state, then those of its inputs; only a state can rest.
-            own = sum(len(row) for _, row in read(step.x))
-            self.resting[here.start : here.start + own] = name in plants
+            size = sum(len(row) for _, row in read(step.x))
+            self.resting[span.start : span.start + size] = name in plants
         self.resting &= ~self.moved
         # A block that keeps something outside of its state continues differently the second time.
         again, _ = self(self.start, {})
@@ -270,8 +270,8 @@ class StateMap:
         for name, step in self._steps.items():
             parts = [read(step.x), *(read(value, INPUT + port) for port, value in step.values.items())]
             for path, row in (pair for part in parts for pair in part):
-                own = f"{name}.{path}" if path else name
-                names.extend([own] if len(row) == 1 else [f"{own}[{k}]" for k in range(len(row))])
+                label = f"{name}.{path}" if path else name
+                names.extend([label] if len(row) == 1 else [f"{label}[{k}]" for k in range(len(row))])
                 rows.append(row)
         return names, np.concatenate(rows)
 
@@ -315,10 +315,10 @@ class StateMap:
 
     def _write(self, numbers: Array, kept: Array) -> None:
         """Replace the numbers of the nodes' states."""
-        for step, here in zip(self._steps.values(), self._slices, strict=True):
-            if not np.array_equal(numbers[here], kept[here]):
-                whole = _Known(step.x, tuple(step.values.values()))
-                step.x, inputs = put(whole, split(whole, numbers[here]))
+        for step, span in zip(self._steps.values(), self._slices, strict=True):
+            if not np.array_equal(numbers[span], kept[span]):
+                both = _Known(step.x, tuple(step.values.values()))
+                step.x, inputs = put(both, split(both, numbers[span]))
                 step.values.update(zip(step.values, inputs, strict=True))
 
     def __call__(

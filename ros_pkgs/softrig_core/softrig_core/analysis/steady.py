@@ -112,14 +112,14 @@ def steady(
     if not observed:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed_of(seed)
-    whole: dict[str, Member] = {}
+    involved: dict[str, Member] = {}
     for name in observed:
-        upstream(place_of(rig, name).member, whole)
+        upstream(place_of(rig, name).member, involved)
     # Commands of controllers count as observed, so that an integrator which moves a plant is not taken for one that
     # drifts unread.
     commands = [
         f"{p.topic}/{x}"
-        for n, member in whole.items()
+        for n, member in involved.items()
         if not member.is_plant and not is_source(member)
         for p in member.outputs
         if not p.sporadic
@@ -178,9 +178,9 @@ def steady(
 def _core(A: Array, received: Any) -> Any:
     """Return the states with a lasting effect on others; a counter or an integral that nothing reads is left out."""
     on = np.ones(len(A), dtype=bool)
-    own = np.diag(A)
+    diagonal = np.diag(A)
     # A state with a pole at 0 or 1 only copies or integrates others; unread, it may drift without any effect.
-    ends = ~received & ((own == 0.0) | (np.abs(own - 1.0) < 1e-9))
+    ends = ~received & ((diagonal == 0.0) | (np.abs(diagonal - 1.0) < 1e-9))
     moves = (A != 0.0) & ~np.eye(len(A), dtype=bool)
     while True:
         left = on & ~(ends & ~moves[on].any(axis=0))
@@ -208,13 +208,13 @@ def _go(m: StateMap, kept: list[int], step: Array) -> None:
     """Try a Newton step, then half of it, and so on, until the rig accepts it."""
     # A full step may leave the domain of a block far from the point.
     for share in 0.5 ** np.arange(8.0):
-        there = m.start.copy()
-        there[kept] += share * step
+        trial = m.start.copy()
+        trial[kept] += share * step
         try:
-            m(there, {})
+            m(trial, {})
         except RunError:
             continue
-        m.start = there
+        m.start = trial
         return
     raise NoOperatingPoint(
         f"{m.rig.scenario.name}: no operating point near t = {m.t:g} s: the way there leaves the limits"

@@ -66,17 +66,17 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
         Names node, port, value and time.
     """
     try:
-        given: Any = result[port.name]
+        message: Any = result[port.name]
     except (KeyError, TypeError):
         if port.sporadic and isinstance(result, MAPPINGS):
             return None
         names = ", ".join(map(str, result)) or "none" if isinstance(result, MAPPINGS) else f"a {type(result).__name__}"
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s; the outputs it returned: {names}") from None
-    if type(given) is tuple and len(given) == port.size and usual(given, port.bound):  # nearly always
-        return given
-    if given is None and port.sporadic:
+    if type(message) is tuple and len(message) == port.size and usual(message, port.bound):  # nearly always
+        return message
+    if message is None and port.sporadic:
         return None
-    data: Sequence[float] = given.data if isinstance(given, Sample) else given
+    data: Sequence[float] = message.data if isinstance(message, Sample) else message
     try:
         if isinstance(data, TEXT) or any(isinstance(value, TEXT) for value in data):
             raise TypeError(f"{data!r:.200} is text")  # which `float` would read
@@ -85,16 +85,16 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
         raise RunError(f"{node}: {port.name} is no row of numbers at t = {t / 1e9:.9g} s: {error}") from None
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
-    result = Sample(given.stamp, values) if isinstance(given, Sample) else values
+    result = Sample(message.stamp, values) if isinstance(message, Sample) else values
     # A fault may publish bad values on purpose; then each input checks what it receives.
     if port.unchecked:
         return result
     for label, value, limit, unit in zip(port.labels, values, port.limits, port.units, strict=True):
         # The negated comparison is also true for NaN, which no comparison holds for.
         if not abs(value) <= limit:
-            where = f"{node}: {port.name} {label} became {value:g}"
+            location = f"{node}: {port.name} {label} became {value:g}"
             most = f" {unit or '1'}, expected at most {limit:g} in magnitude" if math.isfinite(value) else ""
-            raise RunError(f"{where}{most} at t = {t / 1e9:.9g} s")
+            raise RunError(f"{location}{most} at t = {t / 1e9:.9g} s")
     return result
 
 
@@ -122,12 +122,12 @@ Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, t
 
 def places(outputs: Sequence[Port]) -> list[Where]:
     """Return the position of each output in the numbers that a step publishes at a tick (see `part`)."""
-    at = [*accumulate((p.width for p in outputs), initial=0)]
+    offsets = [*accumulate((p.width for p in outputs), initial=0)]
     # From 0 on: the sum of the first two switches alone would be a bool, which numpy takes for a mask.
     stamp = [*accumulate((p.delayed for p in outputs), initial=0)]
-    flag = [*accumulate((p.sporadic for p in outputs), initial=at[-1])]
+    flag = [*accumulate((p.sporadic for p in outputs), initial=offsets[-1])]
     return [
-        (at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
+        (offsets[j], offsets[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)
         for j, p in enumerate(outputs)
     ]
 

@@ -141,8 +141,8 @@ class Block(Generic[P]):
                 )
         for base in cls.__dict__.get("__orig_bases__", ()):
             for argument in get_args(base):
-                of = (argument, getattr(argument, "__default__", None), getattr(argument, "__bound__", None))
-                cls.Params = next((p for p in of if isinstance(p, type) and issubclass(p, BlockParams)), cls.Params)
+                types = (argument, getattr(argument, "__default__", None), getattr(argument, "__bound__", None))
+                cls.Params = next((p for p in types if isinstance(p, type) and issubclass(p, BlockParams)), cls.Params)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not self._open and name not in _RUNNERS:

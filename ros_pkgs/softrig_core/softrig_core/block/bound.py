@@ -187,6 +187,6 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
 @lru_cache(maxsize=256)
 def code_of(text: str, name: str) -> CodeType:
     """Compile a generated text, so that a debugger and a traceback show its lines."""
-    where = f"<{name} {zlib.crc32(text.encode()):08x}>"
-    linecache.cache[where] = len(text), None, text.splitlines(keepends=True), where
-    return compile(text, where, "exec")
+    filename = f"<{name} {zlib.crc32(text.encode()):08x}>"
+    linecache.cache[filename] = len(text), None, text.splitlines(keepends=True), filename
+    return compile(text, filename, "exec")

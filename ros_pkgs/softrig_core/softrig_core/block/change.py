@@ -53,7 +53,7 @@ def loads(text: str) -> list[Change]:
         Something else.
     """
     try:
-        return [Change(int(at), dict(values)) for at, values in json.loads(text or "[]")]
+        return [Change(int(t), dict(values)) for t, values in json.loads(text or "[]")]
     except (ValueError, TypeError) as error:
         raise ParameterError(f"changes: expected [[ns, {{name: value}}], ...]: {error}") from None
 
@@ -74,8 +74,8 @@ def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
     known, free = flatten(params), changeable(type(params))
     for name in values:
         if name in known and name not in free:
-            which = f"these may: {', '.join(free)}" if free else "none of this block's may"
-            raise ParameterError(f"parameter {name} may not change while running; {which}")
+            hint = f"these may: {', '.join(free)}" if free else "none of this block's may"
+            raise ParameterError(f"parameter {name} may not change while running; {hint}")
     revised: Any = build(type(params), known | dict(values))
     return revised  # type: ignore[no-any-return]
 
@@ -111,13 +111,13 @@ def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, A
     revised = revise(params, values)
     # Some errors appear only in `setup`, so a second block is set up: the running one must stay as it is if it fails.
     block_class(revised, name)
-    what = ", ".join(values)
+    names = ", ".join(values)
     if _known_to_others(block_class.ports(revised)) != _known_to_others(block_class.ports(params)):
-        raise ParameterError(f"{what}: the ports would be others, which may not change while running")
+        raise ParameterError(f"{names}: the ports would be others, which may not change while running")
     if issubclass(block_class, Fixing) and block_class.fixed(revised) != block_class.fixed(params):
-        raise ParameterError(f"{what}: that part of it may not change while running")
+        raise ParameterError(f"{names}: that part of it may not change while running")
     # The rig was checked with the agreed values of all its nodes; a change of one would contradict the others.
     before, after = block_class.agreed(params), block_class.agreed(revised)
     if changed := [key for key in after if before.get(key) != after[key]]:
-        raise ParameterError(f"{what}: {changed[0]} would change, but all nodes of a rig must agree on it")
+        raise ParameterError(f"{names}: {changed[0]} would change, but all nodes of a rig must agree on it")
     return revised

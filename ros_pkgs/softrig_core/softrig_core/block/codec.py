@@ -99,10 +99,10 @@ class Decoder:
             raise Refused(f"names {list(names)}, expected {list(port.channels)}")
         order: list[int] = []
         start: dict[str, int] = {}
-        at = 0
+        offset = 0
         for name, values in message.fields.items():
-            start[name] = at
-            at += len(values)
+            start[name] = offset
+            offset += len(values)
         for name in port.fields:
             n = len(message.fields[name])
             if named and n != len(message.names):
@@ -112,8 +112,8 @@ class Decoder:
             if not named:
                 order += [start[name] + i for i in range(n)]
                 continue
-            place = {c: start[name] + i for i, c in enumerate(names)}
-            order += [place.get(c, at + len(order) + i) for i, c in enumerate(port.channels)]
+            index_of = {c: start[name] + i for i, c in enumerate(names)}
+            order += [index_of.get(c, offset + len(order) + i) for i, c in enumerate(port.channels)]
         return tuple(order)
 
 
@@ -171,8 +171,8 @@ def selection(source: Port, sink: Port) -> Pick | None:
     if missing:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
     # Channels of a partial input that this source never sends keep the safe value.
-    places = tuple([source.places.get(x, safe) for x, safe in zip(sink.labels, sink.safe, strict=True)])
-    return None if places == tuple(range(source.size)) else places
+    indices = tuple([source.places.get(x, safe) for x, safe in zip(sink.labels, sink.safe, strict=True)])
+    return None if indices == tuple(range(source.size)) else indices
 
 
 def readable_stamp(data: bytes) -> int | None:

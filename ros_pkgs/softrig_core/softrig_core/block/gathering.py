@@ -95,8 +95,8 @@ class Gathering(Link):
     def respond(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Any]]:
         """Store new messages at a tick."""
         values, stamps = self.step.values, self.step.stamps
-        for seen in self._seen:
-            name = seen.name
+        for stream in self._seen:
+            name = stream.name
             value = values[name]
             if value is None:
                 continue
@@ -106,10 +106,10 @@ class Gathering(Link):
             # A value without a stamp, or with one from the future of this tick, counts from this tick on.
             if stamp is None or stamp > t:
                 stamp = t
-            if stamp > seen.newest:
-                seen.newest = stamp
-                seen.stamps.append(stamp)
-                seen.values.extend(value)
+            if stamp > stream.newest:
+                stream.newest = stamp
+                stream.stamps.append(stamp)
+                stream.values.extend(value)
         self._count, self._t = self._count + 1, t
         return (x if self._count < self._most else self._processed(x)), NOTHING
 
@@ -118,7 +118,7 @@ class Gathering(Link):
         if not self._count:
             return x
         self._count = 0
-        messages = {seen.name: seen.messages() for seen in self._seen if seen.name in self.step.stamps}
+        messages = {stream.name: stream.messages() for stream in self._seen if stream.name in self.step.stamps}
         return self.step.block.at_once(x, self._t, messages)  # type: ignore[attr-defined]
 
     def settle(self) -> None:

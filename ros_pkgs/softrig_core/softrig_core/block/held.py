@@ -114,17 +114,17 @@ class RunningBlock:
             {name: getattr(self, name) for name in self.VALUES},
         )
 
-    def load(self, kept: Kept) -> None:
+    def load(self, stored: Kept) -> None:
         """Restore what `save` returned; any number of times."""
         # A change calls `setup`, which may take long, so equal parameters are not set again.
-        if self.block.p is not kept.params:
-            self.block.change(kept.params)
-        self.x = self.block.load(kept.x)
-        for name, table in kept.tables.items():
-            own = getattr(self, name)
-            own.clear()
-            own.update(table)
-        for name, value in kept.values.items():
+        if self.block.p is not stored.params:
+            self.block.change(stored.params)
+        self.x = self.block.load(stored.x)
+        for name, table in stored.tables.items():
+            present = getattr(self, name)
+            present.clear()
+            present.update(table)
+        for name, value in stored.values.items():
             setattr(self, name, value)
         self.drop()
 

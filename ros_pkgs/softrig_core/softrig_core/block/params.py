@@ -78,11 +78,11 @@ class Params(Entry):
     @field_validator("*")
     @classmethod
     def _no_slips(cls, value: Any, info: ValidationInfo) -> Any:
-        own = {key for rule in cls.model_fields[str(info.field_name)].metadata for key in _UPPER if hasattr(rule, key)}
-        if isinstance(value, str | tuple) and "max_length" not in own and len(value) > LONGEST:
+        keys = {key for rule in cls.model_fields[str(info.field_name)].metadata for key in _UPPER if hasattr(rule, key)}
+        if isinstance(value, str | tuple) and "max_length" not in keys and len(value) > LONGEST:
             raise ValueError(f"expected at most {LONGEST} {'characters' if isinstance(value, str) else 'values'}")
         # A declared upper bound replaces the general one.
-        if own & {"le", "lt"}:
+        if keys & {"le", "lt"}:
             return value
         low, high = _each(cls.model_fields[str(info.field_name)])
         for number in value if isinstance(value, tuple) else (value,):
@@ -254,8 +254,8 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
         text = f"parameters: {error or 'out of memory'}"
     # The error is about what follows from several values, so it names none that was given.
     if values and not any(_named(name, text) for name in values):
-        given = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
-        text += f" (with {given if len(given) < 400 else given[:400] + ' ...'})"
+        stated = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
+        text += f" (with {stated if len(stated) < 400 else stated[:400] + ' ...'})"
     raise ParameterError(text)
 
 

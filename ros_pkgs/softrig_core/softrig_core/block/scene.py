@@ -103,8 +103,8 @@ def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[P
     """
     bodies = [] if scene is None else [at_origin(scene.base), *scene.fixed()]
     known = {WORLD, *(pose.child for pose in bodies)}
-    own = {marker.frame_id for marker in markers} | {p.frame for p in outputs if p.msgtype == VECTOR.name}
-    return [*bodies, *map(at_origin, sorted(own - known))]
+    frames = {marker.frame_id for marker in markers} | {p.frame for p in outputs if p.msgtype == VECTOR.name}
+    return [*bodies, *map(at_origin, sorted(frames - known))]
 
 
 def at_origin(frame: str) -> Pose:

@@ -52,12 +52,12 @@ def _simplest(low: Fraction, high: Fraction) -> Fraction:
         return -_simplest(-high, -low)
     # This follows the continued fraction that both bounds share; where they part, the smallest denominator is
     # found.
-    whole = math.floor(low)
-    if low == whole:
-        return Fraction(whole)
-    if whole + 1 <= high:
-        return Fraction(whole + 1)
-    return whole + 1 / _simplest(1 / (high - whole), 1 / (low - whole))
+    integer = math.floor(low)
+    if low == integer:
+        return Fraction(integer)
+    if integer + 1 <= high:
+        return Fraction(integer + 1)
+    return integer + 1 / _simplest(1 / (high - integer), 1 / (low - integer))
 
 
 class Schedule:
@@ -124,13 +124,13 @@ class Schedule:
         self.every = int(ratio)
         ns = self.period * SECOND
         self._n, self._d = ns.numerator, ns.denominator
-        whole = self._n
+        n = self._n
         # A period of whole nanoseconds is nearly always the case, and these functions are in the loop of every runner:
         # a bound method of the integer and a lambda save the calls and the divisions of the general form.
         if self._d == 1:
-            self.time, self.tick = whole.__mul__, lambda t: (2 * t + whole) // (2 * whole)
-            self.held = lambda t: t - t % whole
-            self.next = lambda t: t - t % whole + whole
+            self.time, self.tick = n.__mul__, lambda t: (2 * t + n) // (2 * n)
+            self.held = lambda t: t - t % n
+            self.next = lambda t: t - t % n + n
         else:
             self.time, self.tick = self._time, self._tick
             self.held = self._held
@@ -172,8 +172,8 @@ class Schedule:
 
     def awaited(self, t: int) -> int:
         """Return the stamp of the message from this block that a reader needs at time `t`."""
-        held = self.held(t)
-        return held if self.last is None or held <= self.last else self.last
+        stamp = self.held(t)
+        return stamp if self.last is None or stamp <= self.last else self.last
 
     def count(self) -> int:
         """Return the number of ticks at which the block publishes in the run."""

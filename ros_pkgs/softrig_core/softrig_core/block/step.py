@@ -255,8 +255,8 @@ class Step(RunningBlock):
     def refused(self, t: int) -> Any:
         """Answer a tick for which a message was rejected."""
         self.bad = False
-        x, own = self.block.refused(self.x, t)
-        return x, self.held() if own is None else own
+        x, outputs = self.block.refused(self.x, t)
+        return x, self.held() if outputs is None else outputs
 
     def plan(self, changes: Iterable[Change]) -> None:
         """Schedule these changes of parameters, and no others."""
@@ -322,7 +322,7 @@ class Step(RunningBlock):
         stamp: Stamp = "own" if self.outputs[k].delayed else "tick" if port.delayed else "none"
         fill = reader.fed[name] = Fill(self, k, reader, port, pick, stamp)
         # A plant that rejects a value ends the run; by then all other inputs are filled.
-        self.readers = sorted([*self.readers, fill], key=lambda one: one.checked)
+        self.readers = sorted([*self.readers, fill], key=lambda f: f.checked)
         reader.stamps[name] = fill.last_published
 
     def receive_unchecked(self, t: int, port: Port, values: Row) -> None:

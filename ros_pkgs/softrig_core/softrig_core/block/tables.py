@@ -50,9 +50,9 @@ class Tables:
             A block could not be restored; the message names the block and the reason.
         """
         for step in self._steps:
-            kept = moment[step.name]
+            stored = moment[step.name]
             try:
-                step.load(kept)
+                step.load(stored)
             except Exception as error:
-                t = kept.values["t"]
+                t = stored.values["t"]
                 raise RunError(f"{step.name}: cannot go back to t = {t / 1e9:.9g} s: {describe(error)}") from error

@@ -193,8 +193,8 @@ class AdsLine(RemoteLine):
 
     def _there(self, wait: float) -> bool:
         """Return whether the PLC is connected, after an attempt to connect."""
-        given = max(wait, 0.001) if self._opened.patient else self.timeout
-        return self._connected(f"the PLC {self.port} cannot be reached", given)
+        timeout = max(wait, 0.001) if self._opened.patient else self.timeout
+        return self._connected(f"the PLC {self.port} cannot be reached", timeout)
 
     def _done(self, call: Callable[[Plc], Any], end: float) -> Any:
         """Return the result of a call, True if it has none; None if the PLC cannot be reached."""

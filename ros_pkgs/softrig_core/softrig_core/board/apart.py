@@ -34,7 +34,7 @@ class Apart:
         self._begun = False
         self.patient, self.busy = True, False
 
-    def __call__(self, *given: Any) -> Any:
+    def __call__(self, *arguments: Any) -> Any:
         """Return the open line.
 
         Raises
@@ -43,13 +43,13 @@ class Apart:
             It cannot be opened, or is not open yet.
         """
         if self.patient and not self.busy:
-            return self._opened(*given)
+            return self._opened(*arguments)
         if not self.busy:
             if not self._begun:
                 # It never ends by itself: Linux ends a simulator with the thread that began it.
                 threading.Thread(target=self._work, daemon=True).start()
                 self._begun = True
-            self._jobs.put(given)
+            self._jobs.put(arguments)
             self.busy = True
         try:
             result, error = self._ends.get(timeout=None if self.patient else QUICK)
@@ -62,8 +62,8 @@ class Apart:
 
     def _work(self) -> None:
         while True:
-            given = self._jobs.get()
+            arguments = self._jobs.get()
             try:
-                self._ends.put((self._opened(*given), None))
+                self._ends.put((self._opened(*arguments), None))
             except Exception as error:  # whatever it is, the next tick raises it
                 self._ends.put((None, error))

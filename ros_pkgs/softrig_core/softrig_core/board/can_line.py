@@ -151,7 +151,7 @@ class CanLine(RemoteLine):
         return len(self._parts) == len(self._back)
 
     def _answer(self) -> bytes:
-        results = {place: value for part in self._parts.values() for place, value in part.items()}
+        results = {index: value for part in self._parts.values() for index, value in part.items()}
         row = [bool(results[k]) if k in self._messages.flags else results[k] for k in range(len(results))]
         return self.build.layout.answer.pack(0, *row)
 

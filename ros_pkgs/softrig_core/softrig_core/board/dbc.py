@@ -89,12 +89,12 @@ def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
     for port in ports:
         if port.delayed:
             raise ScenarioError(f"port {port.name} carries acquisition times, which a CAN link does not transmit")
-        made = [Value(f"{port.name}_given", 1, flag=True)] if getattr(port, flag) else []
+        result = [Value(f"{port.name}_given", 1, flag=True)] if getattr(port, flag) else []
         for label, unit, limit in zip(port.labels, port.units, port.limits, strict=True):
-            own = None if limit == PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) else limit
+            bounds = None if limit == PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) else limit
             bits = 1 if port.msgtype == BUTTON.name else WORD
-            made.append(Value(re.sub(r"\W", "_", f"{port.name}_{label}", flags=re.ASCII), bits, unit, own))
-        for value in made:
+            result.append(Value(re.sub(r"\W", "_", f"{port.name}_{label}", flags=re.ASCII), bits, unit, bounds))
+        for value in result:
             if value.name in results:
                 raise ScenarioError(f"two values would be the CAN signal {value.name}; rename a port or a channel")
             results[value.name] = value
@@ -103,7 +103,7 @@ def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
 
 def build_of(block: type[Block], params: Any) -> str:
     """Return the build of a node: eight hexadecimal digits that depend on its block, ports and parameters."""
-    ports = [[[p.name, p.labels, p.units, p.limits, p.held, p.sporadic] for p in way] for way in block.ports(params)]
+    ports = [[[p.name, p.labels, p.units, p.limits, p.held, p.sporadic] for p in side] for side in block.ports(params)]
     known = [f"{block.__module__}:{block.__qualname__}", ports, flatten(params)]
     return hashlib.sha256(json.dumps(known, default=str).encode()).hexdigest()[: BITS[BUILD] // 4]
 
@@ -124,7 +124,7 @@ def printed(node: str, inputs: Sequence[Port], outputs: Sequence[Port], first_id
     from cantools.database.can.node import Node
 
     messages: list[Message] = []
-    for way, sender, receiver, values in (
+    for direction, sender, receiver, values in (
         ("to", "softrig", node, values_of(inputs, "held")),
         ("from", node, "softrig", values_of(outputs, "sporadic")),
     ):
@@ -133,7 +133,7 @@ def printed(node: str, inputs: Sequence[Port], outputs: Sequence[Port], first_id
             number = first_id + len(messages)
             if number > 0x7FF:
                 raise ScenarioError(f"{node}: identifier {number:#x} is beyond 0x7ff; choose a smaller --id")
-            messages.append(Message(number, f"{node}_{way}_{k}", FRAME_BITS // 8, signals, senders=[sender]))
+            messages.append(Message(number, f"{node}_{direction}_{k}", FRAME_BITS // 8, signals, senders=[sender]))
     return str(Database(messages, [Node("softrig"), Node(node)], version="").as_dbc_string())
 
 
@@ -150,12 +150,12 @@ def _parts(values: Sequence[Value]) -> list[list[Value]]:
     return parts
 
 
-def _whole(name: str, at: int, receiver: str, least: int = 0, most: int | None = None) -> Any:
+def _whole(name: str, start: int, receiver: str, least: int = 0, most: int | None = None) -> Any:
     """Return the signal of a whole number."""
     from cantools.database.can.signal import Signal
 
     most = (1 << BITS[name]) - 1 if most is None else most
-    return Signal(name, at, BITS[name], minimum=least, maximum=most, receivers=[receiver])
+    return Signal(name, start, BITS[name], minimum=least, maximum=most, receivers=[receiver])
 
 
 def _greeting(build: str, receiver: str) -> list[Any]:
@@ -169,17 +169,17 @@ def _signals(values: Sequence[Value], receiver: str) -> Iterator[Any]:
 
     yield _whole(TICK, 0, receiver)
     yield _whole(RUN, BITS[TICK], receiver)
-    at = HEAD
+    start = HEAD
     for name, bits, unit, limit, _ in values:
         if bits == 1:
-            yield Signal(name, at, 1, minimum=0, maximum=1, receivers=[receiver])
+            yield Signal(name, start, 1, minimum=0, maximum=1, receivers=[receiver])
         else:
             scale = 1.0 if limit is None else limit / (2 ** (WORD - 1) - 1)
             how = BaseConversion.factory(scale, 0.0, is_float=limit is None)
             ends: dict[str, Any] = {} if limit is None else {"minimum": -limit, "maximum": limit}
             ends["unit"] = _shown(unit) or None
-            yield Signal(name, at, WORD, is_signed=True, conversion=how, receivers=[receiver], **ends)
-        at += bits
+            yield Signal(name, start, WORD, is_signed=True, conversion=how, receivers=[receiver], **ends)
+        start += bits
 
 
 def _shown(unit: str) -> str:
@@ -188,11 +188,11 @@ def _shown(unit: str) -> str:
     return shown.encode("cp1252", errors="replace").decode("cp1252")
 
 
-def _another(given: str | None, unit: str) -> str:
+def _another(stated: str | None, unit: str) -> str:
     """Describe why a signal's unit does not fit its channel; empty if it does. A wrong unit would scale the number."""
-    if (given or "") in ("", _shown(unit)):
+    if (stated or "") in ("", _shown(unit)):
         return ""
-    if why := misfit(str(given), unit):
+    if why := misfit(str(stated), unit):
         return f"{why.partition('; ')[0]}; write the channel's unit, and scale and offset for it"
     return ""
 
@@ -206,37 +206,37 @@ def messages_of(file: Path, node: str, inputs: Sequence[Port], outputs: Sequence
         The file cannot be read or is of another build; a signal is missing, doubled, multiplexed, of a type or with a
         scale that cannot be transmitted; a message is too long, or its identifier is that of another one.
     """
-    where = f"link: {file}"
-    database = _loaded(file, where)
+    link = f"link: {file}"
+    database = _loaded(file, link)
     to, back = values_of(inputs, "held"), values_of(outputs, "sporadic")
-    read = {way: _frames_of(database, f"{node}_{way}", values, where) for way, values in (("to", to), ("from", back))}
+    read = {side: _frames_of(database, f"{node}_{side}", values, link) for side, values in (("to", to), ("from", back))}
     (hello, requests), (ready, answers) = read["to"], read["from"]
     if ready is not None and hello is None:
-        raise ScenarioError(f"{where}: {node}_from_0 needs {node}_to_0; export the DBC again")
+        raise ScenarioError(f"{link}: {node}_from_0 needs {node}_to_0; export the DBC again")
     if hello is not None and hello.signals[0][1].minimum != int(build, 16):
-        raise ScenarioError(f"{where} is of another block or of other parameters of {node}; export the DBC again")
+        raise ScenarioError(f"{link} is of another block or of other parameters of {node}; export the DBC again")
     all_of = [*requests, *answers, *(f for f in (hello, ready) if f is not None)]
     for number in {f.key for f in all_of}:
         same = [m.name for m in database.messages if (m.frame_id, m.is_extended_frame) == number]
         if len(same) > 1:
-            raise ScenarioError(f"{where}: {' and '.join(same)} have one identifier, {number[0]:#x}")
+            raise ScenarioError(f"{link}: {' and '.join(same)} have one identifier, {number[0]:#x}")
     flags = frozenset(k for k, value in enumerate(back) if value.flag)
     return Messages(hello if ready is not None else None, ready, requests, answers, flags)
 
 
-def _loaded(file: Path, where: str) -> Any:
+def _loaded(file: Path, link: str) -> Any:
     need("cantools", WHAT)
     try:
         text = contents_of(file).decode("cp1252", "replace")
     except OSError as error:
-        raise ScenarioError(f"{where}: {error.strerror}; `softrig export dbc` writes it") from None
+        raise ScenarioError(f"{link}: {error.strerror}; `softrig export dbc` writes it") from None
     except ValueError as error:
-        raise ScenarioError(f"{where} has {error}; `softrig export dbc` writes the node's alone") from None
+        raise ScenarioError(f"{link} has {error}; `softrig export dbc` writes the node's alone") from None
     try:
         return _parsed(text)
     except Exception as error:  # of a damaged file the parser lets many kinds escape
         first = str(error).strip().partition("\n")[0] or type(error).__name__
-        raise ScenarioError(f"{where} is no DBC ({first[:200]})") from None
+        raise ScenarioError(f"{link} is no DBC ({first[:200]})") from None
 
 
 @lru_cache(maxsize=4)  # a file of the longest size takes seconds, and each block of a node reads it
@@ -246,51 +246,51 @@ def _parsed(text: str) -> Any:
     return cantools.database.load_string(text, database_format="dbc")
 
 
-def _frames_of(database: Any, prefix: str, values: Sequence[Value], where: str) -> tuple[Frame | None, list[Frame]]:
+def _frames_of(database: Any, prefix: str, values: Sequence[Value], link: str) -> tuple[Frame | None, list[Frame]]:
     """Return the message that begins a run, and those with values."""
-    greeting, frames, places = None, [], {value.name: k for k, value in enumerate(values)}
+    greeting, frames, index_of = None, [], {value.name: k for k, value in enumerate(values)}
     seen: set[str] = set()
     for message in database.messages:
         if not re.fullmatch(rf"{re.escape(prefix)}_\d+", message.name):
             continue
         if message.length * 8 > FRAME_BITS or any(s.is_multiplexer or s.multiplexer_ids for s in message.signals):
-            raise ScenarioError(f"{where}: message {message.name} is multiplexed or longer than 8 bytes")
+            raise ScenarioError(f"{link}: message {message.name} is multiplexed or longer than 8 bytes")
         signals = {signal.name: signal for signal in message.signals}
         if message.name == f"{prefix}_0":
-            head = _head(signals, (RUN, BUILD), message.name, where)
+            head = _head(signals, (RUN, BUILD), message.name, link)
             if len(head) < 2 or signals:
-                raise ScenarioError(f"{where}: {message.name} must have the signals {RUN} and {BUILD} alone")
+                raise ScenarioError(f"{link}: {message.name} must have the signals {RUN} and {BUILD} alone")
             greeting = Frame(message, ((0, head[BUILD]),), True)
             continue
-        head = _head(signals, (TICK, RUN), message.name, where)
+        head = _head(signals, (TICK, RUN), message.name, link)
         for name, signal in signals.items():
-            if name not in places or name in seen:
-                what = "is there twice" if name in seen else f"is none of {', '.join(places) or 'no signals'}"
-                raise ScenarioError(f"{where}: {message.name}.{name} {what}")
-            if reason := _unfit(signal) or _another(signal.unit, values[places[name]].unit):
-                raise ScenarioError(f"{where}: {message.name}.{name} {reason}")
+            if name not in index_of or name in seen:
+                fault = "is there twice" if name in seen else f"is none of {', '.join(index_of) or 'no signals'}"
+                raise ScenarioError(f"{link}: {message.name}.{name} {fault}")
+            if reason := _unfit(signal) or _another(signal.unit, values[index_of[name]].unit):
+                raise ScenarioError(f"{link}: {message.name}.{name} {reason}")
             seen.add(name)
         if len(head) == 1:
             raise ScenarioError(
-                f"{where}: {message.name} has one of the signals {TICK} and {RUN}, expected both or none"
+                f"{link}: {message.name} has one of the signals {TICK} and {RUN}, expected both or none"
             )
-        frames.append(Frame(message, tuple((places[n], s) for n, s in signals.items()), bool(head)))
-    if missing := [name for name in places if name not in seen]:
-        raise ScenarioError(f"{where}: no message {prefix}_... has the signal {missing[0]}; export the DBC again")
+        frames.append(Frame(message, tuple((index_of[n], s) for n, s in signals.items()), bool(head)))
+    if missing := [name for name in index_of if name not in seen]:
+        raise ScenarioError(f"{link}: no message {prefix}_... has the signal {missing[0]}; export the DBC again")
     if not frames:
-        raise ScenarioError(f"{where}: there is no message {prefix}_1; export the DBC again")
+        raise ScenarioError(f"{link}: there is no message {prefix}_1; export the DBC again")
     if {frame.numbered for frame in frames} != {greeting is not None}:
-        raise ScenarioError(f"{where}: {prefix}_0 and the signals {TICK} and {RUN} of all {prefix}_... belong together")
+        raise ScenarioError(f"{link}: {prefix}_0 and the signals {TICK} and {RUN} of all {prefix}_... belong together")
     return greeting, frames
 
 
-def _head(signals: dict[str, Any], names: Sequence[str], message: str, where: str) -> dict[str, Any]:
+def _head(signals: dict[str, Any], names: Sequence[str], message: str, link: str) -> dict[str, Any]:
     """Separate softrig's counters from the other signals of a message."""
     result = {name: signals.pop(name) for name in names if name in signals}
     for name, signal in result.items():
         plain = not signal.is_signed and not signal.is_float and (signal.scale, signal.offset) == (1, 0)
         if signal.length != BITS[name] or not plain:
-            raise ScenarioError(f"{where}: {message}.{name} must be a whole number of {BITS[name]} bits without sign")
+            raise ScenarioError(f"{link}: {message}.{name} must be a whole number of {BITS[name]} bits without sign")
     return result
 
 
@@ -324,8 +324,8 @@ def encoded(frame: Frame, head: Mapping[str, int], row: Sequence[float]) -> tupl
     """
     raw: dict[str, float] = dict(head) if frame.numbered else {}
     limited = []
-    for place, signal in frame.signals:
-        value = float(row[place])
+    for index, signal in frame.signals:
+        value = float(row[index])
         if not math.isfinite(value):
             raise RunError(f"CAN signal {signal.name} would be {value}, expected a finite number")
         raw[signal.name], cut = _raw(signal, value)
@@ -337,17 +337,17 @@ def encoded(frame: Frame, head: Mapping[str, int], row: Sequence[float]) -> tupl
 def _raw(signal: Any, value: float) -> tuple[float, bool]:
     low = -math.inf if signal.minimum is None else signal.minimum
     high = math.inf if signal.maximum is None else signal.maximum
-    inside = min(max(value, low), high)
-    number = (inside - signal.offset) / signal.scale
+    limited = min(max(value, low), high)
+    number = (limited - signal.offset) / signal.scale
     if signal.is_float:
         most = LARGEST_FLOAT[signal.length]
-        kept = min(max(number, -most), most)
-        return kept, inside != value or kept != number
+        stored = min(max(number, -most), most)
+        return stored, limited != value or stored != number
     half = 1 << signal.length - 1
     least, most = (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
-    whole = min(max(number, float(least)), float(most))
+    rounded = min(max(number, float(least)), float(most))
     # a float may round the largest number of more than 53 bits up
-    return min(max(round(whole), least), most), inside != value or whole != number
+    return min(max(round(rounded), least), most), limited != value or rounded != number
 
 
 def decoded(frame: Frame, data: bytes) -> tuple[int | None, int | None, dict[int, float]] | None:
@@ -355,5 +355,5 @@ def decoded(frame: Frame, data: bytes) -> tuple[int | None, int | None, dict[int
     if len(data) != frame.message.length:
         return None
     raw = frame.message.decode(data, scaling=False, decode_choices=False)
-    values = {place: raw[s.name] * s.scale + s.offset for place, s in frame.signals}
+    values = {index: raw[s.name] * s.scale + s.offset for index, s in frame.signals}
     return (raw.get(TICK), raw.get(RUN), values) if all(map(math.isfinite, values.values())) else None

@@ -98,5 +98,5 @@ def read_description(file: Path) -> Description:
         return Description.model_validate_json(data)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{place or 'it'}: {first['msg']}"[:_LONGEST_NAME]) from None
+        location = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{location or 'it'}: {first['msg']}"[:_LONGEST_NAME]) from None

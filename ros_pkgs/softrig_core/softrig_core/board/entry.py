@@ -85,7 +85,7 @@ def absolute_port(port: str) -> str:
     return f"{kind}{colon}{Path(name).resolve()}" if kind in SIMULATORS else port
 
 
-def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
+def require_own_ports(entries: Mapping[str, LinkEntry], context: str) -> None:
     """Ensure that no two nodes use the same port, or on a CAN bus the same identifier.
 
     Raises
@@ -94,9 +94,9 @@ def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
     """
     seen: dict[str, str] = {}
     for node, entry in entries.items():
-        for port, what in _owned(node, entry):
+        for port, noun in _owned(node, entry):
             if port in seen:
-                raise ScenarioError(f"{where}: nodes {seen[port]} and {node} have one {what}; give each its own")
+                raise ScenarioError(f"{context}: nodes {seen[port]} and {node} have one {noun}; give each its own")
             seen[port] = node
 
 

@@ -46,14 +46,14 @@ def encoded(body: bytes) -> bytes:
 
 def decoded(data: bytes) -> bytes | None:
     """Return the bytes decoded from COBS; None if it is truncated."""
-    result, at, end = bytearray(), 0, len(data)
-    while at < end:
-        code = data[at]
-        if code == 0 or at + code > end:
+    result, position, end = bytearray(), 0, len(data)
+    while position < end:
+        code = data[position]
+        if code == 0 or position + code > end:
             return None
-        result += data[at + 1 : at + code]
-        at += code
-        if code != 0xFF and at < end:
+        result += data[position + 1 : position + code]
+        position += code
+        if code != 0xFF and position < end:
             result.append(0)
     return bytes(result)
 
@@ -77,8 +77,8 @@ def read(data: bytes, session: int) -> Frame | None:
         return None
     inner = body[: -CRC.size]
     number, kind = HEAD.unpack_from(inner)
-    of = 0 if kind == Kind.HELLO else session
-    if crc_hqx(CRC.pack(of) + inner, 0) != CRC.unpack(body[-CRC.size :])[0]:
+    owner = 0 if kind == Kind.HELLO else session
+    if crc_hqx(CRC.pack(owner) + inner, 0) != CRC.unpack(body[-CRC.size :])[0]:
         return None
     return Frame(number, kind, inner[HEAD.size :])
 
@@ -91,6 +91,6 @@ class Splitter:
 
     def split_frames(self, data: bytes) -> list[bytes]:
         """Return the complete pieces between two zeros; empty ones are left out."""
-        *whole, self._partial = (self._partial + data).split(b"\0")
+        *complete, self._partial = (self._partial + data).split(b"\0")
         self._partial = self._partial[-LONGEST:]
-        return [piece for piece in whole if piece]
+        return [piece for piece in complete if piece]

@@ -50,7 +50,7 @@ class Layout:
     @cached_property
     def params(self) -> struct.Struct:
         """Parameters."""
-        return struct.Struct("<" + "".join("q" if of is int else self.real for of in self.settable.values()))
+        return struct.Struct("<" + "".join("q" if kind is int else self.real for kind in self.settable.values()))
 
     @property
     def real(self) -> str:
@@ -71,30 +71,30 @@ class Layout:
         """Return the inputs of a tick in the order of a step."""
         result: list[Any] = []
         for port in self.inputs:
-            given = inputs.get(port.name)
+            value = inputs.get(port.name)
             if port.held:
-                result.append(given is not None)
+                result.append(value is not None)
             if port.delayed:
-                result.append(0 if given is None else given.stamp)
-            if given is None:
+                result.append(0 if value is None else value.stamp)
+            if value is None:
                 result += (0.0,) * port.size
             else:
-                result += given.data if isinstance(given, Sample) else given
+                result += value.data if isinstance(value, Sample) else value
         return result
 
     def outputs_of(self, answer: Sequence[Any]) -> dict[str, Any]:
         """Return the value of each output in an unpacked answer."""
         result: dict[str, Any] = {}
-        at = 1
+        index = 1
         for port in self.outputs:
             published = True
             if port.sporadic:
-                published = bool(answer[at])
-                at += 1
-            stamp = answer[at]
-            at += port.delayed
-            row = tuple(answer[at : at + port.size])
-            at += port.size
+                published = bool(answer[index])
+                index += 1
+            stamp = answer[index]
+            index += port.delayed
+            row = tuple(answer[index : index + port.size])
+            index += port.size
             if published:
                 result[port.name] = Sample(stamp, row) if port.delayed else row
         return result

@@ -230,8 +230,8 @@ class Line:
         if self._doubled:
             return f"two boards answer at {self.port}; connect one board to a port"
         strays = self.counts.strays - before
-        what = f" ({strays} frames are answers to others)" if strays else ""
-        return f"no board answers at {self.port}{what}" + (
+        note = f" ({strays} frames are answers to others)" if strays else ""
+        return f"no board answers at {self.port}{note}" + (
             "; the port returns what it is sent" * bool(self.counts.echoed)
         )
 
@@ -408,8 +408,8 @@ class Line:
                     remaining = self._inbox[k + 1 :]
                     self._inbox = []
                     self._newest = frame
-                    for other in remaining:
-                        self._stray(other)
+                    for stray in remaining:
+                        self._stray(stray)
                     return frame
                 self._stray(frame)
             self._inbox.clear()

@@ -56,12 +56,12 @@ class Linked(Elsewhere):
         over, under = self.FIRMWARE["period_s"]
         self._build = Build(self.FIRMWARE["digest"], (over, under), layout)
         known = flatten(self.p)
-        self._params = _packed(layout.params, [of(known[name]) for name, of in settable.items()])
+        self._params = _packed(layout.params, [convert(known[name]) for name, convert in settable.items()])
         self._safe = {p.name: p.safe for p in outputs if not p.sporadic}
         self._delayed = frozenset(p.name for p in outputs if p.delayed)
         kind = self.ENTRY.port.partition(":")[0]
-        kinds: Mapping[str, Any] = {"can": can_line, "ads": ads_line}
-        self._made: Callable[[Any], Any] = kinds.get(kind, _serial_line)(self.ENTRY, self.name, self._build)
+        openers: Mapping[str, Any] = {"can": can_line, "ads": ads_line}
+        self._made: Callable[[Any], Any] = openers.get(kind, _serial_line)(self.ENTRY, self.name, self._build)
 
     @classmethod
     def fixed(cls, params: Any) -> Any:
@@ -196,7 +196,7 @@ class LinkedPlant(Linked):
         return LinkState(x.k + 1, (t, *self._layout.numbers(inputs)))
 
 
-def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> type[Block]:
+def linked(block: type[Block], entry: LinkEntry, params: Any, label: str) -> type[Block]:
     """Return the class of a node whose block runs on a board.
 
     Parameters
@@ -205,7 +205,7 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
         Block that the firmware was generated from.
     params : BlockParams
         Parameters of the node; those that are compiled into the build must be the same.
-    where : str
+    label : str
         Place of the entry, for errors.
 
     Raises
@@ -216,8 +216,8 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
     if issubclass(block, Linked):  # of a rig that is made again, with other parameters
         block = block.__bases__[1]
     if finishes(block):
-        raise ScenarioError(f"{where}: link: a block with a last answer at the end of a run runs in this process alone")
-    file, known = _of_signals(block, entry, params) if entry.shared else _of_board(block, entry, params, where)
+        raise ScenarioError(f"{label}: link: a block with a last answer at the end of a run runs in this process alone")
+    file, known = _of_signals(block, entry, params) if entry.shared else _of_board(block, entry, params, label)
     absolute = entry.model_copy(update={"firmware": str(file.resolve()), "port": absolute_port(entry.port)})
     return _class(block, absolute, json.dumps(known))  # type: ignore[arg-type]  # mypy: a class has no hash
 
@@ -239,23 +239,23 @@ def _of_signals(block: type[Block], entry: LinkEntry, params: Any) -> tuple[Path
     return file, known
 
 
-def _of_board(block: type[Block], entry: LinkEntry, params: Any, where: str) -> tuple[Path, Mapping[str, Any]]:
+def _of_board(block: type[Block], entry: LinkEntry, params: Any, label: str) -> tuple[Path, Mapping[str, Any]]:
     """Return the description of a board's firmware, and its content."""
     file = Path(entry.firmware)
     if file.is_dir():
         results = sorted(file.glob("*.json"))
         if len(results) != 1:
-            raise ScenarioError(f"{where}: link: {file} has {len(results)} JSON files, expected one; name the file")
+            raise ScenarioError(f"{label}: link: {file} has {len(results)} JSON files, expected one; name the file")
         file = results[0]
     try:
         known = read_description(file).model_dump(mode="json", by_alias=True, exclude={"node"})
     except OSError as error:
-        raise ScenarioError(f"{where}: link: {file}: {error.strerror}; `softrig export` writes it") from None
+        raise ScenarioError(f"{label}: link: {file}: {error.strerror}; `softrig export` writes it") from None
     except ValueError as error:
         raise ScenarioError(
-            f"{where}: link: {file} is no description of firmware ({error}); `softrig export` writes it"
+            f"{label}: link: {file} is no description of firmware ({error}); `softrig export` writes it"
         ) from None
-    _check(block, params, known, f"{where}: link: {file}")
+    _check(block, params, known, f"{label}: link: {file}")
     return file, known
 
 
@@ -266,21 +266,21 @@ def _class(block: type[Block], entry: LinkEntry, known: str) -> type[Block]:
     return type(block.__name__, (base, block), body | {"__qualname__": block.__qualname__})
 
 
-def _check(block: type[Block], params: Any, known: Mapping[str, Any], where: str) -> None:
+def _check(block: type[Block], params: Any, known: Mapping[str, Any], label: str) -> None:
     """Ensure that firmware is of a block with these parameters."""
     name = f"{block.__module__}:{block.__qualname__}"
     if known["class"] != name:
-        raise ScenarioError(f"{where} is firmware of {known['class']}, expected {name}")
+        raise ScenarioError(f"{label} is firmware of {known['class']}, expected {name}")
     inputs, outputs = block.ports(params)
-    mine = [(way, p.name, list(p.labels)) for way, ports in (("in", inputs), ("out", outputs)) for p in ports]
-    theirs = [(p["direction"], p["name"], [v["label"] for v in p["values"]]) for p in known["ports"]]
-    if mine != theirs:
-        raise ScenarioError(f"{where} has the ports {theirs}, expected {mine}; export it again")
-    compiled, given = known["parameters"], json.loads(json.dumps(flatten(params), default=str))
-    for key, value in given.items():
+    wanted = [(side, p.name, list(p.labels)) for side, ports in (("in", inputs), ("out", outputs)) for p in ports]
+    actual = [(p["direction"], p["name"], [v["label"] for v in p["values"]]) for p in known["ports"]]
+    if wanted != actual:
+        raise ScenarioError(f"{label} has the ports {actual}, expected {wanted}; export it again")
+    compiled, expected = known["parameters"], json.loads(json.dumps(flatten(params), default=str))
+    for key, value in expected.items():
         if key not in known["settable"] and value != compiled.get(key):
             raise ScenarioError(
-                f"{where} has {key} = {str(compiled.get(key))[:100]} compiled in, expected {value}; export it again"
+                f"{label} has {key} = {str(compiled.get(key))[:100]} compiled in, expected {value}; export it again"
             )
 
 
@@ -306,9 +306,9 @@ def _packed(layout: struct.Struct, row: list[Any]) -> bytes:
 _lines: dict[tuple[int, str, int, str], Any] = {}  # of this process: opening a port again would reset its board
 
 
-def _line(entry: LinkEntry, node: str, made: Callable[[Any], Any]) -> Any:
+def _line(entry: LinkEntry, node: str, open_line: Callable[[Any], Any]) -> Any:
     key = os.getpid(), entry.port, entry.baud or BAUD, node if entry.shared else ""
-    _lines[key] = made(_lines.get(key))
+    _lines[key] = open_line(_lines.get(key))
     return _lines[key]
 
 

@@ -61,7 +61,7 @@ class RemoteLine(ABC):
     def _shut(self, connection: Any) -> None:
         """Close a connection."""
 
-    def _connected(self, failed: str, *given: Any) -> bool:
+    def _connected(self, failed: str, *arguments: Any) -> bool:
         """Return whether there is a connection, after an attempt to open it; attempts are rare enough that they cost no
         time.
 
@@ -78,7 +78,7 @@ class RemoteLine(ABC):
             return False
         again = self._tried > -math.inf
         try:
-            self._connection = self._opened(*given)
+            self._connection = self._opened(*arguments)
         except OSError as error:
             self._why = f"{failed}: {error.strerror or error}"
             return False

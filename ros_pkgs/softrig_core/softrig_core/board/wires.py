@@ -87,15 +87,15 @@ class Simulated(FileWire):
     """A simulator that has the other end of a socket as its standard input and output."""
 
     def __init__(self, command: list[str]) -> None:
-        here, there = socket.socketpair()
-        with there:
-            end = there.fileno()
+        local, remote = socket.socketpair()
+        with remote:
+            end = remote.fileno()
             self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the port
             # Ctrl-C in a terminal is for the run: a board that ended before it would be taken for one that has failed.
             self._process = subprocess.Popen(
                 command, stdin=end, stdout=end, stderr=self._output, preexec_fn=_end_with_parent, process_group=0
             )
-        super().__init__(here, here.fileno())
+        super().__init__(local, local.fileno())
 
     def end_and_count(self) -> dict[str, int]:
         """End the simulator and return its counts; empty if it counts nothing."""

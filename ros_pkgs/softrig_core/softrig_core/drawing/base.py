@@ -154,20 +154,20 @@ class Drawing:
 
 
 def readings(
-    pen: Pen, at: Point, rows: Sequence[tuple[str, str, str]], width: float = 190.0, step: float = 22.0
+    pen: Pen, corner: Point, rows: Sequence[tuple[str, str, str]], width: float = 190.0, step: float = 22.0
 ) -> None:
     """Write values below each other: name on the left, value on the right.
 
     Parameters
     ----------
-    at : (float, float)
+    corner : (float, float)
         Left end of the first baseline.
     rows : sequence of (name, value, role)
     """
     for k, (name, value, role) in enumerate(rows):
-        y = at[1] + step * k
-        pen.text((at[0], y), name, "muted")
-        pen.text((at[0] + width, y), value, role, anchor="end")
+        y = corner[1] + step * k
+        pen.text((corner[0], y), name, "muted")
+        pen.text((corner[0] + width, y), value, role, anchor="end")
 
 
 def tail(past: Sequence[Row], row: Row, points: int) -> list[Row]:

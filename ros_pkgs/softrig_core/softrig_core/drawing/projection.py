@@ -67,10 +67,10 @@ class Camera:
         ca, sa = math.cos(self.azimuth), math.sin(self.azimuth)
         return math.cos(self.elevation) * (ca * p[0] + sa * p[1]) + math.sin(self.elevation) * p[2]
 
-    def fitted(self, places: Sequence[Place], left: float, top: float, width: float, height: float) -> Camera:
+    def fitted(self, points: Sequence[Place], left: float, top: float, width: float, height: float) -> Camera:
         """Return a camera that shows these places in a rectangle, as large as possible."""
         raw = Camera(self.azimuth, self.elevation)
-        xs, ys = zip(*map(raw, places), strict=True)
+        xs, ys = zip(*map(raw, points), strict=True)
         scale = min(width / max(max(xs) - min(xs), 1e-9), height / max(max(ys) - min(ys), 1e-9))
         middle = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2
         origin = left + width / 2 - scale * middle[0], top + height / 2 - scale * middle[1]

@@ -54,16 +54,16 @@ class Robot(Drawing):
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
         """Draw ground, shadow, path and links; then the values."""
         q = [joint(row) for joint in self.joints]
-        places = self._places(q)
-        self._floor(pen, places)
+        positions = self._places(q)
+        self._floor(pen, positions)
         path = [self.scene.tip([joint(r) for joint in self.joints]) for r in tail(past, row, PATH)]
         pen.line([self.camera(p) for p in path], "second", 1.6)
         if any(w.name for w in self.wanted):
             ghost = self._places([w(row) if w.name in row else x for w, x in zip(self.wanted, q, strict=True)])
             for parent, child in self.links:
                 pen.line([self.camera(ghost[parent]), self.camera(ghost[child])], "reference", 1.2, dashed=True)
-        self._body(pen, places)
-        tip = places[self.links[-1][1]] if self.links else places[self.base]
+        self._body(pen, positions)
+        tip = positions[self.links[-1][1]] if self.links else positions[self.base]
         self._force(pen, row, tip)
         rows = []
         for name, joint, torque in zip(self.names, self.joints, self.torques, strict=True):
@@ -76,32 +76,32 @@ class Robot(Drawing):
 
     def _places(self, q: Sequence[float]) -> dict[str, Place]:
         """Return the place of each frame in the base, m."""
-        where: dict[str, tuple[Place, tuple[float, float, float, float]]] = {
+        frames: dict[str, tuple[Place, tuple[float, float, float, float]]] = {
             self.base: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         }
         left = [*self.scene.moving(q), *self.fixed]
         while left:
-            ready = [pose for pose in left if pose.parent in where]
+            ready = [pose for pose in left if pose.parent in frames]
             if not ready:
                 break
             for pose in ready:
-                place, turn = where[pose.parent]
-                where[pose.child] = plus(place, turned(turn, pose.position)), times(turn, pose.rotation)
-            left = [pose for pose in left if pose.child not in where]
-        return {name: place for name, (place, _) in where.items()}
+                position, turn = frames[pose.parent]
+                frames[pose.child] = plus(position, turned(turn, pose.position)), times(turn, pose.rotation)
+            left = [pose for pose in left if pose.child not in frames]
+        return {name: position for name, (position, _) in frames.items()}
 
     def _view(self) -> tuple[Camera, float]:
         """Return the camera that shows the robot's work largest, and half the side of the ground."""
         limits = _limits(self.scene.description)
         draw = Random(0)
-        seen: list[Place] = [(0.0, 0.0, 0.0)]
+        points: list[Place] = [(0.0, 0.0, 0.0)]
         tips = []
         for _ in range(POSTURES):
             q = [draw.uniform(*limits.get(name, (-math.pi, math.pi))) for name in self.names]
-            places = list(self._places(q).values())
-            if min(p[2] for p in places) > -0.02:  # above the ground, as robots are
-                seen += places
-                tips.append(places[-1])
+            positions = list(self._places(q).values())
+            if min(p[2] for p in positions) > -0.02:  # above the ground, as robots are
+                points += positions
+                tips.append(positions[-1])
         tips = tips or [(1.0, 0.0, 1.0)]
 
         def width(azimuth: int) -> float:
@@ -113,34 +113,34 @@ class Robot(Drawing):
         if width(-90) > 0.8 * width(azimuth):
             azimuth = -90
         camera = Camera(math.radians(azimuth) + ASIDE, ELEVATION)
-        side = 0.6 * max(max(abs(p[0]), abs(p[1])) for p in seen)
-        seen += [(x, y, 0.0) for x in (-side, side) for y in (-side, side)]
-        return camera.fitted(seen, *ROOM), side
+        side = 0.6 * max(max(abs(p[0]), abs(p[1])) for p in points)
+        points += [(x, y, 0.0) for x in (-side, side) for y in (-side, side)]
+        return camera.fitted(points, *ROOM), side
 
-    def _floor(self, pen: Pen, places: dict[str, Place]) -> None:
+    def _floor(self, pen: Pen, positions: dict[str, Place]) -> None:
         side = self.ground
         for k in range(GRID + 1):
-            at = side * (2.0 * k / GRID - 1.0)
-            pen.line([self.camera((at, -side, 0.0)), self.camera((at, side, 0.0))], "faint", 1.0)
-            pen.line([self.camera((-side, at, 0.0)), self.camera((side, at, 0.0))], "faint", 1.0)
+            offset = side * (2.0 * k / GRID - 1.0)
+            pen.line([self.camera((offset, -side, 0.0)), self.camera((offset, side, 0.0))], "faint", 1.0)
+            pen.line([self.camera((-side, offset, 0.0)), self.camera((side, offset, 0.0))], "faint", 1.0)
         for parent, child in self.links:
-            a, b = places[parent], places[child]
+            a, b = positions[parent], positions[child]
             pen.line([self.camera((a[0], a[1], 0.0)), self.camera((b[0], b[1], 0.0))], "faint", 9.0)
 
-    def _body(self, pen: Pen, places: dict[str, Place]) -> None:
+    def _body(self, pen: Pen, positions: dict[str, Place]) -> None:
         """Return the stand, then the links from the farthest to the nearest, all in one style."""
         stands = [(a, b) for a, b in self.links if a == self.base]
         links = [(a, b) for a, b in self.links if a != self.base]
         for a, b in stands:
-            pen.line([self.camera(places[a]), self.camera(places[b])], "muted", 5.0)
-        links.sort(key=lambda link: sum(self.camera.nearness(places[frame]) for frame in link))
+            pen.line([self.camera(positions[a]), self.camera(positions[b])], "muted", 5.0)
+        links.sort(key=lambda link: sum(self.camera.nearness(positions[frame]) for frame in link))
         for a, b in links:
-            ends: list[Point] = [self.camera(places[a]), self.camera(places[b])]
+            ends: list[Point] = [self.camera(positions[a]), self.camera(positions[b])]
             pen.line(ends, "line", 15.0)
             pen.line(ends, "accent", 12.0)
         for a in dict.fromkeys(a for a, _ in self.links if a != self.base):
-            pen.circle(self.camera(places[a]), 6.0, "line", "paper")
-        pen.circle(self.camera(places[self.links[-1][1]]), 5.0, "line", "second")
+            pen.circle(self.camera(positions[a]), 6.0, "line", "paper")
+        pen.circle(self.camera(positions[self.links[-1][1]]), 5.0, "line", "second")
 
     def _force(self, pen: Pen, row: Row, tip: Place) -> None:
         if self.push:

@@ -80,10 +80,10 @@ def plane(
 
     pen.box(left, top, width, height, "muted", "", 1.0)
     if x0 < 0 < x1:
-        at = left - width * x0 / (x1 - x0)
-        pen.line([(at, top), (at, top + height)], "faint", 1.0)
+        axis = left - width * x0 / (x1 - x0)
+        pen.line([(axis, top), (axis, top + height)], "faint", 1.0)
     if y0 < 0 < y1:
-        at = top + height * (1 + y0 / (y1 - y0))
-        pen.line([(left, at), (left + width, at)], "faint", 1.0)
+        axis = top + height * (1 + y0 / (y1 - y0))
+        pen.line([(left, axis), (left + width, axis)], "faint", 1.0)
     pen.line([place(r) for r in _newest(past, row, points)], "accent", 1.8)
     pen.circle(place(row), 5.0, "accent", "accent")

@@ -203,8 +203,8 @@ class _Process:
         variables = dict(os.environ)
         pin(variables)
         # One thread each: a BLAS that splits sums by the number of cores would change the last bits.
-        for one in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-            variables.setdefault(one, "1")
+        for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            variables.setdefault(variable, "1")
         # -P: no module is imported from the current directory, into which others may write.
         command = [sys.executable, "-P", "-c", "from softrig_core.solver.worker import main; main()"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=variables)
@@ -367,5 +367,5 @@ def main() -> None:
             # Without the function no request can be answered, so each one is read and fails.
             if function is None:
                 requests.get()
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            send("failed", f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})")
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            send("failed", f"{type(error).__name__}: {error} ({os.path.basename(frame.filename)}:{frame.lineno})")
