@@ -97,7 +97,7 @@ class Clocked(Elsewhere):
         return LinkState(x.k + 1), result if answers else safe
 
 
-def clocked(block: type[Block], entry: ClockEntry, params: Any, context: str) -> type[Block]:
+def clocked(block: type[Block], entry: ClockEntry, params: Any, label: str) -> type[Block]:
     """Return the class of a node whose ticks are answered by a third-party node.
 
     Raises
@@ -110,18 +110,18 @@ def clocked(block: type[Block], entry: ClockEntry, params: Any, context: str) ->
     inputs, outputs = block.ports(params)
     if issubclass(block, Plant):
         raise ScenarioError(
-            f"{context}: external: clock is for controllers, because a plant owns the clock; use external: true"
+            f"{label}: external: clock is for controllers, because a plant owns the clock; use external: true"
         )
     used = (*_used(inputs, entry.reads), *_used(outputs, entry.publishes))
     if odd := [p.topic for p in used if p.delayed or p.sporadic or p.partial or p.dims]:
         raise ScenarioError(
-            f"{context}: external: {odd[0]} is delayed, sporadic, partial or an array, which a node that answers by the "
+            f"{label}: external: {odd[0]} is delayed, sporadic, partial or an array, which a node that answers by the "
             "clock cannot have"
         )
     for word, chosen, ports in (("reads", entry.reads, inputs), ("publishes", entry.publishes, outputs)):
         topics = [p.topic for p in ports]
         if wrong := [topic for topic in chosen or () if topic not in topics]:
-            raise ScenarioError(f"{context}: external: {word} {wrong[0]!r}, but the executable has {', '.join(topics)}")
+            raise ScenarioError(f"{label}: external: {word} {wrong[0]!r}, but the executable has {', '.join(topics)}")
     return _class(block, entry)  # type: ignore[arg-type]  # mypy: a class has no hash
 
 
