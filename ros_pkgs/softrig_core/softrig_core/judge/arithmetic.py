@@ -66,8 +66,8 @@ def _calculated(tree: Tree, samples: Samples, check: Callable[[Any], Any]) -> An
         return np.float64(samples[body] if isinstance(body, str) else body)
     if kind == "Variable":
         return samples[body]
-    name, given = called(kind, body)
-    return check(ARITHMETIC[name](*(_calculated(part, samples, check) for part in given)))
+    name, operands = called(kind, body)
+    return check(ARITHMETIC[name](*(_calculated(part, samples, check) for part in operands)))
 
 
 def called(kind: str, body: Any) -> tuple[str, Any]:
@@ -80,8 +80,8 @@ def carries(tree: Tree) -> bool:
     ((kind, body),) = tree.items()
     if kind in ("Literal", "Variable"):
         return True
-    name, given = called(kind, body)
-    return name in _CARRY and all(map(carries, given))
+    name, operands = called(kind, body)
+    return name in _CARRY and all(map(carries, operands))
 
 
 def sure(values: Any) -> Any:

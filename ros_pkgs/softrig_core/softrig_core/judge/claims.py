@@ -67,12 +67,12 @@ class Claim(Entry):
 
     @field_validator("tolerance")
     @classmethod
-    def _width(cls, given: Any) -> Any:
-        if isinstance(given, str) and not _PERCENT.fullmatch(given):
+    def _width(cls, value: Any) -> Any:
+        if isinstance(value, str) and not _PERCENT.fullmatch(value):
             raise ValueError("expected a number or a percentage such as '2 %'")
-        if isinstance(given, int | float) and given < 0:
+        if isinstance(value, int | float) and value < 0:
             raise ValueError("a tolerance is not negative")
-        return given
+        return value
 
     @model_validator(mode="after")
     def _complete(self) -> Claim:
@@ -94,25 +94,25 @@ class Claim(Entry):
         kinds = (("below", self.below), ("above", self.above), ("equals", self.equals))
         return {kind: x for kind, x in kinds if x is not None}
 
-    def agrees(self, value: float, others: Mapping[str, float] | None = None) -> bool:
+    def agrees(self, value: float, figures: Mapping[str, float] | None = None) -> bool:
         """Return whether the measurement agrees with the statement.
 
         Parameters
         ----------
         value : float
             Of the claim's figure; infinity for what never happens, NaN for what could not be measured.
-        others : mapping, optional
+        figures : mapping, optional
             The values behind `compared`.
         """
         if math.isnan(value):
             return False
         if self.published is not None:
             return self._near(value, self.published)
-        given = others or {}
+        limits = figures or {}
         return (
-            ("below" not in given or value < given["below"])
-            and ("above" not in given or value > given["above"])
-            and ("equals" not in given or self._near(value, given["equals"]))
+            ("below" not in limits or value < limits["below"])
+            and ("above" not in limits or value > limits["above"])
+            and ("equals" not in limits or self._near(value, limits["equals"]))
         )
 
     def _near(self, value: float, wanted: float) -> bool:
@@ -126,12 +126,12 @@ class Claim(Entry):
         match = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
         return (float(match[1]) / 100.0 if match else TOLERANCE) * abs(wanted)
 
-    def asks(self, others: Mapping[str, float | None]) -> str:
+    def asks(self, figures: Mapping[str, float | None]) -> str:
         """Write the condition of agreement: ``0.607 ± 0.03 (5 %)``, ``below 0.02``, ``above a.rise_time = 0.69 here``.
 
         Parameters
         ----------
-        others : mapping
+        figures : mapping
             The values behind `compared`; None for one that is not known.
         """
 
@@ -141,7 +141,7 @@ class Claim(Entry):
 
         parts = [near(self.published)] if self.published is not None else []
         for kind, reference in self.compared().items():
-            value = others.get(kind)
+            value = figures.get(kind)
             text = "?" if value is None else readable(value) if kind != "equals" else near(value)
             parts.append(f"{kind} {reference} = {text} here" if isinstance(reference, str) else f"{kind} {text}")
         return ", ".join(parts)

@@ -95,7 +95,7 @@ class Expectation(Entry):
         return min(rooms, default=math.nan)
 
 
-def parse(given: Any) -> Any:
+def parse(raw: Any) -> Any:
     """Read an expectation as scenario files write it.
 
     ``0.694 +- 0.0069``, ``0.694 +- 1 %``, ``44`` (exactly), ``at most 0.02``, ``at least 3``, ``between 80 and 81.1``.
@@ -106,11 +106,11 @@ def parse(given: Any) -> Any:
     ValueError
         The text has another form, the tolerance is above a quarter of the value, or the range is empty.
     """
-    if isinstance(given, Expectation | dict):
-        return given
-    if isinstance(given, int | float) and not isinstance(given, bool):
-        return Expectation(expected=given, tolerance=0.0)
-    text = given.strip() if isinstance(given, str) else ""
+    if isinstance(raw, Expectation | dict):
+        return raw
+    if isinstance(raw, int | float) and not isinstance(raw, bool):
+        return Expectation(expected=raw, tolerance=0.0)
+    text = raw.strip() if isinstance(raw, str) else ""
     if references(text):
         return Expectation(text=text)
     if match := _TWO_SIDED.fullmatch(text):

@@ -46,10 +46,10 @@ def number(text: str, value: Callable[[str], Any]) -> float:
     known: dict[str, float] = {}
 
     def named(match: re.Match[str]) -> str:
-        given = value(match[1])
-        if isinstance(given, bool) or not isinstance(given, int | float):
-            raise ScenarioError(f"${match[1]} is {given!r}, expected a number")
-        known[name := f"_{len(known)}"] = float(given)
+        result = value(match[1])
+        if isinstance(result, bool) or not isinstance(result, int | float):
+            raise ScenarioError(f"${match[1]} is {result!r}, expected a number")
+        known[name := f"_{len(known)}"] = float(result)
         return name
 
     if len(text) > LONGEST:

@@ -58,16 +58,16 @@ def named(reference: str) -> str:
     return reference.replace(".", "__")
 
 
-def with_names(given: str) -> str:
+def with_names(formula: str) -> str:
     """Return a formula with names in place of its references: ``$motor.R`` becomes ``motor__R``."""
-    return REFERENCE.sub(lambda match: named(match[1]), given)
+    return REFERENCE.sub(lambda match: named(match[1]), formula)
 
 
 @lru_cache(maxsize=256)
-def timing(given: str) -> frozenset[str]:
+def timing(formula: str) -> frozenset[str]:
     """Return the names in a formula's intervals."""
     return (
-        frozenset({name for result in _INTERVAL.finditer(given) for name in _NAME.findall(result[0])})
+        frozenset({name for result in _INTERVAL.finditer(formula) for name in _NAME.findall(result[0])})
         - _CALLS
         - {"inf"}
     )
@@ -81,18 +81,18 @@ def _compares_number(kind: str, body: Any, units: Mapping[str, str]) -> bool:
     else:
         return False
     alone = [side for side in sides if not variables(side)]
-    others = [name for side in sides for name in variables(side)]
-    if not alone or not others or not any(arithmetic(side, {}) for side in alone):
+    names = [name for side in sides for name in variables(side)]
+    if not alone or not names or not any(arithmetic(side, {}) for side in alone):
         return False
-    return any(units.get(name, "") for name in others)
+    return any(units.get(name, "") for name in names)
 
 
-def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str, Condition]]:
+def read(formula: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str, Condition]]:
     """Read a formula.
 
     Parameters
     ----------
-    given : str
+    formula : str
         Such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s: numbers, or arithmetic over
         names of numbers.
     known : mapping
@@ -110,13 +110,13 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
     ScenarioError
         The formula cannot be parsed, or a name is unknown (the message suggests the nearest one).
     """
-    tree, conditions = _read(given, tuple(known.items()))
+    tree, conditions = _read(formula, tuple(known.items()))
     return tree, dict(conditions)
 
 
 @lru_cache(maxsize=256)
-def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, Mapping[str, Condition]]:
-    result = outline(given, known := dict(items))
+def _read(formula: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, Mapping[str, Condition]]:
+    result = outline(formula, known := dict(items))
     numbers = {name: value for name, value in known.items() if value is not None}
     tree = _map(result.tree, lambda k, body: (k, numbers.get(body, body) if k == "Literal" else body))
     return tree, result.conditions
@@ -203,8 +203,8 @@ def _constant(tree: Tree, numbers: Mapping[str, Any]) -> Any:
     ((kind, body),) = tree.items()
     if kind == "Literal":
         return arithmetic(tree, numbers)
-    name, given = called(kind, body)
-    values = [_constant(part, numbers) for part in given]
+    name, operands = called(kind, body)
+    values = [_constant(part, numbers) for part in operands]
     if name in ("Div", "Mod") and not values[1]:
         raise ScenarioError("a division by zero")
     result = sure(ARITHMETIC[name](*values))
@@ -213,61 +213,61 @@ def _constant(tree: Tree, numbers: Mapping[str, Any]) -> Any:
     return result
 
 
-def outline(given: str, known: Mapping[str, float | None]) -> Outline:
+def outline(formula: str, known: Mapping[str, float | None]) -> Outline:
     """Read a formula as `read` does, but keep the names of its numbers; raise the same errors."""
     for name in sorted(_LETTERS & known.keys()):
-        raise ScenarioError(f"formula {given!r}: {name} is the letter of an operator; rename the signal or figure")
+        raise ScenarioError(f"formula {formula!r}: {name} is the letter of an operator; rename the signal or figure")
     names = tuple([(name, value is not None) for name, value in known.items()])
-    timed = _timed(given, known)
+    timed = _timed(formula, known)
     # Whether an exponent is a whole number decides which unit its power has.
-    exponents = {name: known[name] for name in _exponents(given, timed, names)}
-    result = _outline(given, timed, names, tuple(exponents.items()))
+    exponents = {name: known[name] for name in _exponents(formula, timed, names)}
+    result = _outline(formula, timed, names, tuple(exponents.items()))
     try:
         result.check({name: value for name in result.numbers if (value := known[name]) is not None})
     except ScenarioError as error:
-        raise ScenarioError(f"formula {given!r}: {error}") from None
+        raise ScenarioError(f"formula {formula!r}: {error}") from None
     return result
 
 
 @lru_cache(maxsize=256)
-def _exponents(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> list[str]:
-    numbers, tree = {name for name, is_number in names if is_number}, _tree(given, timed, names)[0]
+def _exponents(formula: str, timed: str, names: tuple[tuple[str, bool], ...]) -> list[str]:
+    numbers, tree = {name for name, is_number in names if is_number}, _tree(formula, timed, names)[0]
     powers_ = [body[2] for kind, body in nodes(tree) if kind == "Binary" and body[0] == "Pow"]
     return [name for part in powers_ for name in variables(part) if name in numbers]
 
 
 @lru_cache(maxsize=256)
 def _outline(
-    given: str, timed: str, names: tuple[tuple[str, bool], ...], exponents: tuple[tuple[str, float | None], ...]
+    formula: str, timed: str, names: tuple[tuple[str, bool], ...], exponents: tuple[tuple[str, float | None], ...]
 ) -> Outline:
-    parsed, conditions = _tree(given, timed, names)
+    parsed, conditions = _tree(formula, timed, names)
     if not any(kind in ("Always", "Eventually", "Until") for kind, _ in nodes(parsed)):
-        raise ScenarioError(f"formula {given!r} is about t = 0 only: write 'always (...)', or 'eventually (...)'")
+        raise ScenarioError(f"formula {formula!r} is about t = 0 only: write 'always (...)', or 'eventually (...)'")
     for kind, body in nodes(parsed):
         if kind in ("Probabilistic", "Next"):
             raise ScenarioError(
-                f"formula {given!r}: no {'probabilities' if kind != 'Next' else 'next'} here; "
+                f"formula {formula!r}: no {'probabilities' if kind != 'Next' else 'next'} here; "
                 "say when by an interval, in s"
             )
         if kind == "Binary" and body[0] == "Pow" and _negated(body[1]):
-            raise ScenarioError(f"formula {given!r}: a minus before a power reads as (-x)^n; write 0 - (x^n), or x*x")
+            raise ScenarioError(f"formula {formula!r}: a minus before a power reads as (-x)^n; write 0 - (x^n), or x*x")
     numbers: dict[str, Any] = {name: name for name, is_number in names if is_number}
     numbers |= exponents
     try:
         tree = _map(parsed, lambda kind, body: _filled(kind, body, numbers))
         _check_calls(tree)
     except ScenarioError as error:
-        raise ScenarioError(f"formula {given!r}: {error}") from None
-    return Outline(given, parsed, tree, conditions)
+        raise ScenarioError(f"formula {formula!r}: {error}") from None
+    return Outline(formula, parsed, tree, conditions)
 
 
 @lru_cache(maxsize=256)
-def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[Tree, Mapping[str, Condition]]:
+def _tree(formula: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[Tree, Mapping[str, Condition]]:
     """Parse a formula whose times are numbers; only which of its names are signals matters, not their numbers.
 
     Parameters
     ----------
-    given : str
+    formula : str
         The formula as it was written.
     timed : str
         From `_timed`.
@@ -281,28 +281,28 @@ def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[
     try:
         return json.loads(sentil.Formula.parse(written).to_json()), conditions
     except sentil.SentilError as error:
-        raise ScenarioError(f"formula {given!r}: {_reason(error, written)}") from None
+        raise ScenarioError(f"formula {formula!r}: {_reason(error, written)}") from None
 
 
-def _timed(given: str, known: Mapping[str, float | None]) -> str:
+def _timed(formula: str, known: Mapping[str, float | None]) -> str:
     """Evaluate arithmetic over names in a formula's intervals."""
-    used = {name: known.get(name) for name in timing(given)}
+    used = {name: known.get(name) for name in timing(formula)}
     # An unknown name is an error, whose text suggests one of all known names; the cache has only those that are used.
-    return _calculated(given, known) if None in used.values() else _timed_by(given, tuple(used.items()))
+    return _calculated(formula, known) if None in used.values() else _timed_by(formula, tuple(used.items()))
 
 
 @lru_cache(maxsize=256)
-def _timed_by(given: str, numbers: tuple[tuple[str, float | None], ...]) -> str:
-    return _calculated(given, dict(numbers))
+def _timed_by(formula: str, numbers: tuple[tuple[str, float | None], ...]) -> str:
+    return _calculated(formula, dict(numbers))
 
 
-def _calculated(given: str, known: Mapping[str, float | None]) -> str:
+def _calculated(formula: str, known: Mapping[str, float | None]) -> str:
     def value(name: str) -> float:
         result = known.get(name)
         if result is None:
-            numbers = [each for each, at in known.items() if at is not None]
-            what = "changes while the rig runs" if name in known else f"is unknown{closest(name, numbers)}"
-            raise ScenarioError(f"formula {given!r}: {name} in an interval {what}; expected the name of a number")
+            numbers = [each for each, v in known.items() if v is not None]
+            fault = "changes while the rig runs" if name in known else f"is unknown{closest(name, numbers)}"
+            raise ScenarioError(f"formula {formula!r}: {name} in an interval {fault}; expected the name of a number")
         return result
 
     def seconds(part: str) -> str:
@@ -311,38 +311,40 @@ def _calculated(given: str, known: Mapping[str, float | None]) -> str:
         try:
             actual = number(_NAME.sub(lambda name: name[0] if name[0] in _CALLS else f"${name[0]}", part), value)
         except ScenarioError as error:
-            raise error if str(error).startswith("formula") else ScenarioError(f"formula {given!r}: {error}") from None
+            raise (
+                error if str(error).startswith("formula") else ScenarioError(f"formula {formula!r}: {error}")
+            ) from None
         if actual < 0.0:
-            raise ScenarioError(f"formula {given!r}: {part.strip()} is {actual:g} s; expected a time of at least 0 s")
+            raise ScenarioError(f"formula {formula!r}: {part.strip()} is {actual:g} s; expected a time of at least 0 s")
         # sentil reads no exponents in an interval.
         return format(actual, ".12f").rstrip("0").rstrip(".")
 
-    return _INTERVAL.sub(lambda actual: f"[{seconds(actual[1])}, {seconds(actual[2])}]", given)
+    return _INTERVAL.sub(lambda actual: f"[{seconds(actual[1])}, {seconds(actual[2])}]", formula)
 
 
 def _check_calls(tree: Tree) -> None:
     """Refuse functions with the wrong number of arguments."""
-    for name, given in [body for kind, body in nodes(tree) if kind == "Call"]:
+    for name, args in [body for kind, body in nodes(tree) if kind == "Call"]:
         several = name in SEVERAL
-        if len(given) < 2 if several else len(given) != 1:
-            raise ScenarioError(f"{name} takes {'two numbers or more' if several else 'one number'}, got {len(given)}")
+        if len(args) < 2 if several else len(args) != 1:
+            raise ScenarioError(f"{name} takes {'two numbers or more' if several else 'one number'}, got {len(args)}")
 
 
 def _reason(error: Exception, written: str) -> str:
     match = re.match(r"parse error at line 1, column (\d+): (.*)", str(error))
     if not match:
         return str(error)
-    at = int(match[1]) - 1
-    return f"{match[2]}, at {written[at : at + 12]!r}" if written[at:].strip() else match[2]
+    position = int(match[1]) - 1
+    return f"{match[2]}, at {written[position : position + 12]!r}" if written[position:].strip() else match[2]
 
 
 def _negated(tree: Tree) -> bool:
     return tree.get("Binary", [None])[0] == "Sub" and tree["Binary"][1] == {"Literal": 0.0}
 
 
-def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[str, Condition]]:
+def _rewrite(formula: str, known: Mapping[str, float | None]) -> tuple[str, dict[str, Condition]]:
     """Replace conditions by comparisons, because sentil does not support conditions."""
-    tokens = _TOKEN.findall(given)
+    tokens = _TOKEN.findall(formula)
     conditions: dict[str, Condition] = {}
     out: list[str] = []
     calls: list[bool] = []  # whether each open bracket is that of a function
@@ -355,7 +357,7 @@ def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[s
             calls.pop()
         if token in EDGES and following == "(":
             if i + 3 >= len(tokens) or tokens[i + 3] != ")" or known.get(tokens[i + 2], 0.0) is not None:
-                raise ScenarioError(f"formula {given!r}: {token}(...) needs the name of a signal")
+                raise ScenarioError(f"formula {formula!r}: {token}(...) needs the name of a signal")
             condition, i = Condition(tokens[i + 2], token), i + 3
         elif _is_name(token) and known.get(token, 0.0) is None and _stands_alone(out, following, calls):
             condition = Condition(token)
@@ -363,7 +365,7 @@ def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[s
             if _is_name(token) and token not in known and not (token in _CALLS and following == "("):
                 names = [*known, *_WORDS, *EDGES, *_CALLS]
                 have = f"; its names are {', '.join(known)}" if known else "; there are no shared names"
-                raise ScenarioError(f"formula {given!r}: {token!r} is no name{closest(token, names)}{have}")
+                raise ScenarioError(f"formula {formula!r}: {token!r} is no name{closest(token, names)}{have}")
             out.append(token)
             i += 1
             continue
@@ -516,22 +518,22 @@ def _unit(tree: Tree, units: Mapping[str, str]) -> str | None:
     if kind == "Literal":
         return None
     if kind == "Call":
-        name, given = body[0], [_unit(part, units) for part in body[1]]
+        name, operands = body[0], [_unit(part, units) for part in body[1]]
         if name in ("abs", "floor", "ceil"):
-            return given[0]
+            return operands[0]
         if name in ("min", "max"):
-            return reduce(_same, given)
-        if name == "sqrt" and given[0]:
+            return reduce(_same, operands)
+        if name == "sqrt" and operands[0]:
             raise ScenarioError("sqrt of something with a unit: compare squares instead")
-        return "" if given[0] is not None else None
+        return "" if operands[0] is not None else None
     name, left, right = body
     a, b = _unit(left, units), _unit(right, units)
     if name in ("Mul", "Div"):
         if a is None and b is None:
             return None
-        one, other = powers(a or ""), powers(b or "")
+        first, second = powers(a or ""), powers(b or "")
         sign = 1 if name == "Mul" else -1
-        total = {u: one.get(u, 0) + sign * other.get(u, 0) for u in (*one, *other)}
+        total = {u: first.get(u, 0) + sign * second.get(u, 0) for u in (*first, *second)}
         return text({u: p for u, p in total.items() if p})
     if name == "Pow":
         n = right.get("Literal")

@@ -153,9 +153,9 @@ class _Part:
             else:
                 value[1] = np.maximum(value[1], held[1])
         # Operators of the past look back from open instants, so these samples must stay.
-        gone = int(np.searchsorted(times, after - self.back))
-        left = tuple({name: values[gone:] for name, values in each.items()} for each in columns)
-        return Opened(sure, value, over, after, times[gone:], left)
+        first = int(np.searchsorted(times, after - self.back))
+        left = tuple({name: values[first:] for name, values in each.items()} for each in columns)
+        return Opened(sure, value, over, after, times[first:], left)
 
     def _fold(self, sure: Any, times: Array, values: list[Array], begin: int, end: int) -> Any:
         """Extend the certain part by the instants from `begin` to before `end`."""
@@ -166,10 +166,10 @@ class _Part:
                     value = np.maximum(value, np.minimum(held, values[1][..., k]))
                 held = np.minimum(held, values[0][..., k])
             return value, held
-        inside = values[0][..., max(begin, int(np.searchsorted(times, self.low))) : end]
-        if inside.shape[-1]:
+        reached = values[0][..., max(begin, int(np.searchsorted(times, self.low))) : end]
+        if reached.shape[-1]:
             least = self.kind == "Always"
-            value = np.minimum(value, inside.min(axis=-1)) if least else np.maximum(value, inside.max(axis=-1))
+            value = np.minimum(value, reached.min(axis=-1)) if least else np.maximum(value, reached.max(axis=-1))
         return value, held
 
 

@@ -385,14 +385,14 @@ def growth_rate(
     new = np.flatnonzero(np.diff(x, prepend=np.nan))
     t, x = t[new], x[new]
     side = np.sign(x[1:-1])
-    before, here, after = side * x[:-2], side * x[1:-1], side * x[2:]
-    k = np.flatnonzero((before < here) & (after < here) & (here > 0.0))
+    before, centre, after = side * x[:-2], side * x[1:-1], side * x[2:]
+    k = np.flatnonzero((before < centre) & (after < centre) & (centre > 0.0))
     if k.size < 3:
         raise ValueError(f"{signal} has {k.size} peaks between {t[0]:g} and {t[-1]:g} s, needed 3 for a growth rate")
     u, v = (t[1:-1] - t[:-2])[k], (t[2:] - t[1:-1])[k]
-    rising, falling = (here - before)[k] / u, (after - here)[k] / v
+    rising, falling = (centre - before)[k] / u, (after - centre)[k] / v
     slope, curve = (rising * v + falling * u) / (u + v), (falling - rising) / (u + v)  # of the parabola, at the sample
-    return float(np.polyfit(t[1:-1][k] - slope / (2.0 * curve), np.log(here[k] - slope**2 / (4.0 * curve)), 1)[0])
+    return float(np.polyfit(t[1:-1][k] - slope / (2.0 * curve), np.log(centre[k] - slope**2 / (4.0 * curve)), 1)[0])
 
 
 @figure("{signal}")
@@ -441,8 +441,8 @@ def window(
     last = t.size if end is None else int(np.searchsorted(t, end + HALF_NS, side="right"))
     if last - first < least:
         asked = f"{'its begin' if start is None else f'{start:g} s'} to {'its end' if end is None else f'{end:g} s'}"
-        held = f"recorded from {t[0]:g} to {t[-1]:g} s" if t.size else "nothing is recorded"
-        raise ValueError(f"{signal} has {max(0, last - first)} samples from {asked}, needed {least}; {held}")
+        recorded = f"recorded from {t[0]:g} to {t[-1]:g} s" if t.size else "nothing is recorded"
+        raise ValueError(f"{signal} has {max(0, last - first)} samples from {asked}, needed {least}; {recorded}")
     return t[first:last], x[first:last]
 
 
@@ -507,8 +507,8 @@ def held(
         No samples in the window.
     """
     t, x = window(signals, signal, start, end)
-    whole, values = signals[signal]
-    first = int(np.searchsorted(whole, t[0]))
+    times, values = signals[signal]
+    first = int(np.searchsorted(times, t[0]))
     # The value from before the window holds until its first sample, so it belongs to a mean over time.
     if start is not None and first and t[0] - start > HALF_NS:
         t, x = _from(float(start), t), np.append(values[first - 1], x)
@@ -584,41 +584,41 @@ Places = NDArray[np.intp] | slice
 
 
 @once_for_times
-def newest(times: Array, at: Array) -> NDArray[np.intp]:
+def newest(times: Array, t: Array) -> NDArray[np.intp]:
     """Return for each of many instants which of some times is the newest not after it; -1 before the first.
 
     Parameters
     ----------
     times : array, shape (n,)
         Ascending.
-    at : array, shape (m,)
+    t : array, shape (m,)
         Ascending.
     """
     # With few times and many instants counting is faster than a search for each instant.
-    if len(times) > len(at) / 4 or is_long(at):
-        return _one_each(times, at) if len(at) > SIDE_BY_SIDE else np.searchsorted(times, at, side="right") - 1
+    if len(times) > len(t) / 4 or is_long(t):
+        return _one_each(times, t) if len(t) > SIDE_BY_SIDE else np.searchsorted(times, t, side="right") - 1
     # Times after the last instant are counted in one more place, which is cut off.
-    arrived = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
+    arrived = np.bincount(np.searchsorted(t, times), minlength=len(t))[: len(t)]
     return np.cumsum(arrived) - 1
 
 
-def places(at: NDArray[np.intp]) -> Places:
+def places(indices: NDArray[np.intp]) -> Places:
     """Return indices as a slice if they are consecutive, so that indexing copies nothing."""
-    if len(at) and at[0] >= 0 and (np.diff(at) == 1).all():
-        return slice(int(at[0]), int(at[-1]) + 1)
-    return at
+    if len(indices) and indices[0] >= 0 and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
 
 
-def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
+def _one_each(times: Array, t: Array) -> NDArray[np.intp]:
     """Return the result of `newest` for two nodes of the same period, without a search."""
-    first = int(np.searchsorted(times, at[0], side="right")) - 1
-    last = first + len(at)
+    first = int(np.searchsorted(times, t[0], side="right")) - 1
+    last = first + len(t)
     # Two nodes of one period have one time for each instant. The guess is checked as a whole, else it is searched for.
     if first >= 0 and last <= len(times):
         guess = times[first:last]
-        if (guess <= at).all() and (at[:-1] < guess[1:]).all() and not (times[last : last + 1] <= at[-1]).any():
-            return counted(first, last) if is_long(at) else np.arange(first, last, dtype=np.intp)
-    return np.searchsorted(times, at, side="right") - 1
+        if (guess <= t).all() and (t[:-1] < guess[1:]).all() and not (times[last : last + 1] <= t[-1]).any():
+            return counted(first, last) if is_long(t) else np.arange(first, last, dtype=np.intp)
+    return np.searchsorted(times, t, side="right") - 1
 
 
 def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
@@ -720,10 +720,10 @@ def _unpaired(t: Array, when: Array) -> bool:
 
 
 def _known(signal: str, reference: str, t: Array, when: Array) -> Places:
-    at = newest(when, t)
-    if at.size and at[0] < 0:
+    indices = newest(when, t)
+    if indices.size and indices[0] < 0:
         raise ValueError(f"{reference} has no value yet at {t[0]:g} s, where {signal} begins")
-    return _places(at)
+    return _places(indices)
 
 
 _places = once_for_times(places)
@@ -754,16 +754,16 @@ def _aligned(
     if not isinstance(reference, str):
         return t, x - reference, gaps
     when, values = signals[reference]
-    both, at, gaps = _union(t, when, float(t[-1]) + float(gaps[-1]) * NS)
-    return both, gathered(x, at) - gathered(values, _known(signal, reference, both, when)), gaps
+    both, indices, gaps = _union(t, when, float(t[-1]) + float(gaps[-1]) * NS)
+    return both, gathered(x, indices) - gathered(values, _known(signal, reference, both, when)), gaps
 
 
 @once_for_times
 def _union(t: Array, when: Array, stop: float) -> tuple[Array, Places, Array]:
     """Return all times of two signals up to `stop`, the places among `t` that they belong to, and their gaps, ns."""
-    own = when[(when > t[0]) & (when < stop - HALF_NS)]
+    added = when[(when > t[0]) & (when < stop - HALF_NS)]
     # A reference sample at a time of the signal is covered already; a second one would count for no time.
-    own = own[own - gathered(t, newest(t, own + HALF_NS)) > HALF_NS]
+    added = added[added - gathered(t, newest(t, added + HALF_NS)) > HALF_NS]
     # Nothing to sort: the array of the times may be long, or shared by others.
-    both = np.sort(np.concatenate([t, own])) if len(own) else t
+    both = np.sort(np.concatenate([t, added])) if len(added) else t
     return both, places(newest(t, both)), np.rint(np.diff(both, append=stop) / NS)

@@ -93,20 +93,20 @@ class OnePass:
         # The native function has a fixed number of columns; its instructions never load those that only fill up.
         columns += columns[:1] * (COLUMNS - len(columns))
         edges = np.empty(2 * SPANS, np.int64)
-        given = self.code, constants, *columns, first, last, self.kind == "Always", edges
+        arguments = self.code, constants, *columns, first, last, self.kind == "Always", edges
         # Loading native code takes milliseconds and compiling it seconds, so the first calls leave the formula to the
         # reference.
-        if not extreme.pays(*given):  # type: ignore[attr-defined]
+        if not extreme.pays(*arguments):  # type: ignore[attr-defined]
             return None
-        value, at, count = extreme(*given)
+        value, index, count = extreme(*arguments)
         # Which zero is the least of several depends on the order of comparisons, and so does the sign of the margin.
         if count < 0 or value == 0.0:
             return None
         ends = edges[:count].tolist()
-        return Extreme(float(value), int(at), list(zip(ends[::2], ends[1::2], strict=True)))
+        return Extreme(float(value), int(index), list(zip(ends[::2], ends[1::2], strict=True)))
 
-    def _add(self, operation: int, change: int, which: int = 0) -> None:
-        self._code.append((operation, which))
+    def _add(self, operation: int, change: int, operand: int = 0) -> None:
+        self._code.append((operation, operand))
         self._depth += change
         self._deepest = max(self._deepest, self._depth)
 
@@ -156,12 +156,12 @@ class OnePass:
             if not visible:
                 self._add(NUMBER, 0)
             return
-        name, given = called(kind, body)
+        name, operands = called(kind, body)
         operation = (_BINARY if kind == "Binary" else _CALLS)[name]
-        self._value(given[0], visible)
-        if kind == "Call" and len(given) == 1:
+        self._value(operands[0], visible)
+        if kind == "Call" and len(operands) == 1:
             self._add(operation, 0)
-        for part in given[1:]:
+        for part in operands[1:]:
             self._value(part, visible)
             self._add(operation, -1)
         if not visible:
@@ -197,30 +197,30 @@ def extreme(
 ) -> tuple[float, int, int]:
     """Return the extreme, its index, and the number of ends of spans below zero; -1 where something is no number."""
     stack = np.empty((DEPTH, BLOCK))
-    value, at, count, below = (math.inf if least else -math.inf), first, 0, False
+    value, index, count, below = (math.inf if least else -math.inf), first, 0, False
     start = first
     while start <= last:
         n = min(BLOCK, last + 1 - start)
         top = -1
         for k in range(code.shape[0]):
-            operation, which = code[k, 0], code[k, 1]
+            operation, operand = code[k, 0], code[k, 1]
             if operation == LOAD:
                 top += 1
-                if which == 0:
+                if operand == 0:
                     _load(stack[top], a[start : start + n])
-                elif which == 1:
+                elif operand == 1:
                     _load(stack[top], b[start : start + n])
-                elif which == 2:
+                elif operand == 2:
                     _load(stack[top], c[start : start + n])
-                elif which == 3:
+                elif operand == 3:
                     _load(stack[top], d[start : start + n])
-                elif which == 4:
+                elif operand == 4:
                     _load(stack[top], e[start : start + n])
                 else:
                     _load(stack[top], f[start : start + n])
             elif operation == CONSTANT:
                 top += 1
-                number = constants[which]
+                number = constants[operand]
                 for i in range(n):
                     stack[top, i] = number
             elif operation == ADD:
@@ -263,7 +263,7 @@ def extreme(
                     x = stack[top, i] - stack[top, i] if operation == FINITE else stack[top, i]
                     lost += 1 if x != x else 0
                 if lost:
-                    return value, at, -1
+                    return value, index, -1
         row = stack[0]
         better = negative = 0
         # Counting is vectorised; only a block that has something new is looked at sample by sample.
@@ -274,12 +274,12 @@ def extreme(
         if better:
             for i in range(n):
                 if row[i] < value if least else row[i] > value:
-                    value, at = row[i], start + i
+                    value, index = row[i], start + i
         if least and negative != (n if below else 0):
             for i in range(n):
                 if (row[i] < 0.0) != below:
                     if count == edges.shape[0]:
-                        return value, at, -1
+                        return value, index, -1
                     edges[count] = start + i - (1 if below else 0)
                     count += 1
                     below = not below
@@ -287,4 +287,4 @@ def extreme(
     if below:
         edges[count] = last
         count += 1
-    return value, at, count
+    return value, index, count

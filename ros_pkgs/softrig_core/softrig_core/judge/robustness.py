@@ -87,10 +87,10 @@ def _uncertain(values: Array, *late: NDArray[Any]) -> Array:
     """Return the four bounds of a comparison with values that may be undefined or signals that have not arrived yet."""
     undefined = np.isnan(values)
     result = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
-    for those in late:
+    for missing in late:
         # A comparison with a signal that has not arrived yet is false, not undefined, so that the formula is judged
         # all the same.
-        result[:, those] = -INF
+        result[:, missing] = -INF
     return np.array((result, result))
 
 
@@ -127,8 +127,8 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
     span = 1
     longest = count.max(initial=0)
     while longest >= span:
-        at = np.flatnonzero((count >= span) & (count < 2 * span))
-        result[..., at] = pick(values[..., first[at]], values[..., last[at] - span + 1])
+        rows = np.flatnonzero((count >= span) & (count < 2 * span))
+        result[..., rows] = pick(values[..., first[rows]], values[..., last[rows] - span + 1])
         values = pick(values[..., :-span], values[..., span:])
         span *= 2
     return result
@@ -210,16 +210,14 @@ class Record:
         # What is unknown could still turn the verdict.
         if least < 0.0 <= greatest:
             raise NotJudged(self._why(tree, result))
-        value, which = (greatest, (1, 1)) if greatest < 0.0 else (least, (0, 0))
-        at = float(self.times[self._decides(tree, *which, 0)] / SECOND)
+        value, bound = (greatest, (1, 1)) if greatest < 0.0 else (least, (0, 0))
+        t = float(self.times[self._decides(tree, *bound, 0)] / SECOND)
         violated = self._violated(tree) if value < 0.0 else ()
         known = least == greatest
         open_from = self._open_from(tree) if known or not self._undefined(tree).size else self._undefined(tree)[0]
         if not known:
             open_from = min(open_from, self.times[-1])
-        return Margin(
-            value, at, violated or (((at, at),) if value < 0.0 else ()), (least, greatest), open_from / SECOND
-        )
+        return Margin(value, t, violated or (((t, t),) if value < 0.0 else ()), (least, greatest), open_from / SECOND)
 
     def window(self, tree: Tree) -> tuple[int, int] | None:
         """Return the first and the last index of the window of a formula; None if it extends beyond the record."""
@@ -419,8 +417,8 @@ class Record:
         if kind != "Always":
             return ()
         low, high = limits(body)
-        inside = (self.times >= self.times[0] + low) & (self.times <= self.times[0] + high)
-        bad = (self.bounds(body[1])[1, 1] < 0.0) & inside
+        within = (self.times >= self.times[0] + low) & (self.times <= self.times[0] + high)
+        bad = (self.bounds(body[1])[1, 1] < 0.0) & within
         # The zeros at both ends close a violation that begins or ends with the record.
         edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
         first, last = (self.times[edges[::2]] / SECOND).tolist(), (self.times[edges[1::2] - 1] / SECOND).tolist()

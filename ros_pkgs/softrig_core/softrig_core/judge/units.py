@@ -70,8 +70,8 @@ def base(unit: str) -> tuple[float, dict[str, int]]:
     """Reduce a unit to SI base units: ``mV`` is 0.001 times ``kg m^2/s^3/A``; unknown units stay as they are."""
     factors, total = 1.0, dict[str, int]()
     for name, power in powers(unit).items():
-        one, below = _base(name)
-        factors *= one**power
+        scale, below = _base(name)
+        factors *= scale**power
         for part, p in powers(below).items():
             total[part] = total.get(part, 0) + p * power
     return factors, {name: power for name, power in total.items() if power}
@@ -90,46 +90,46 @@ def _base(name: str) -> tuple[float, str]:
 
 
 @cache
-def misfit(given: str, wanted: str) -> str:
+def misfit(unit: str, wanted: str) -> str:
     """Describe why values in one unit cannot be read as values in another; empty when they can.
 
     Parameters
     ----------
-    given, wanted : str
+    unit, wanted : str
         Units; one that is not stated (empty) fits any, ``1`` is a pure number.
     """
-    if not given or not wanted or powers(given) == powers(wanted):
+    if not unit or not wanted or powers(unit) == powers(wanted):
         return ""
-    (a, own), (b, other) = base(given), base(wanted)
-    if own != other:
-        return f"is in {given!r}, expected {wanted!r}, which is another quantity"
+    (a, si_unit), (b, si_wanted) = base(unit), base(wanted)
+    if si_unit != si_wanted:
+        return f"is in {unit!r}, expected {wanted!r}, which is another quantity"
     # Products of factors round, so equal units may differ in the last bits.
     if math.isclose(a, b, rel_tol=1e-12):
         return ""
-    same = f"1 {given}".removesuffix(" 1") + f" = {a / b:.9g} {wanted}".removesuffix(" 1")
+    same = f"1 {unit}".removesuffix(" 1") + f" = {a / b:.9g} {wanted}".removesuffix(" 1")
     return (
-        f"is in {given!r}, expected {wanted!r}: the same quantity, {same}; declare {given!r} at the reader and "
+        f"is in {unit!r}, expected {wanted!r}: the same quantity, {same}; declare {unit!r} at the reader and "
         f"scale there, or {wanted!r} at the sender and scale there"
     )
 
 
-def factor(given: str, wanted: str) -> float | None:
+def factor(unit: str, wanted: str) -> float | None:
     """Number that turns values of one unit into another; None when they do not measure the same.
 
     Parameters
     ----------
-    given, wanted : str
+    unit, wanted : str
         Units such as ``rad/s``.
     """
-    a, b = powers(given), powers(wanted)
+    a, b = powers(unit), powers(wanted)
     # The same unit needs no factor, not even a rounded one.
     if a == b:
         return 1.0
     turned = {"deg" if name == "rad" else name: power for name, power in a.items()}
     if "rad" in a and turned == b:
         return math.degrees(1.0) ** a["rad"]
-    (own, of), (other, wants) = base(given), base(wanted)
-    return own / other if of == wants else None
+    (scale, dims), (wanted_scale, wanted_dims) = base(unit), base(wanted)
+    return scale / wanted_scale if dims == wanted_dims else None
 
 
 def pretty_unit(unit: str) -> str:

@@ -44,16 +44,16 @@ class _Buffer:
         self._buffer, self.run = function.buffer()
         # casadi keeps bare addresses: the memoryviews must live as long as the buffer
         self._views = [memoryview(self.arguments).cast("d"), memoryview(self.results).cast("d")]
-        at = 0
+        offset = 0
         for i in range(function.n_in()):
-            self._views.append(self._views[0][at : at + function.nnz_in(i)])
+            self._views.append(self._views[0][offset : offset + function.nnz_in(i)])
             self._buffer.set_arg(i, self._views[-1])  # type: ignore[call-arg, arg-type]
-            at += function.nnz_in(i)
-        at = 0
+            offset += function.nnz_in(i)
+        offset = 0
         for i in range(function.n_out()):
-            self._views.append(self._views[1][at : at + function.nnz_out(i)])
+            self._views.append(self._views[1][offset : offset + function.nnz_out(i)])
             self._buffer.set_res(i, self._views[-1])  # type: ignore[call-arg, arg-type]
-            at += function.nnz_out(i)
+            offset += function.nnz_out(i)
 
 
 class Compiled:
@@ -142,8 +142,8 @@ class Compiled:
         f = self._function
         arguments = self.n_in + self.n_out
         results = arguments + f.sz_arg()
-        whole = results + f.sz_res()
-        return arguments, results, whole, whole + f.sz_iw()
+        integers = results + f.sz_res()
+        return arguments, results, integers, integers + f.sz_iw()
 
     @property
     def address(self) -> int:
@@ -171,11 +171,11 @@ class Compiled:
         # Native code gets one array for each function, so the addresses are stored among the numbers.
         memory = np.zeros(places[3] + max(1, f.sz_w()))
         words, base = memory.view(np.int64), memory.ctypes.data
-        at = 0
-        for count, size, place in ((f.n_in(), f.nnz_in, places[0]), (f.n_out(), f.nnz_out, places[1])):
+        offset = 0
+        for count, size, table in ((f.n_in(), f.nnz_in, places[0]), (f.n_out(), f.nnz_out, places[1])):
             for k in range(count):
-                words[place + k] = base + 8 * at
-                at += size(k)
+                words[table + k] = base + 8 * offset
+                offset += size(k)
         return memory
 
 
@@ -216,37 +216,37 @@ def kept(name: str, make: Callable[[Path], object]) -> Path:
     make : callable
         See `moved`.
     """
-    place = cache_folder() / name
-    if not place.exists():
-        moved(place, make)
-    return place
+    path = cache_folder() / name
+    if not path.exists():
+        moved(path, make)
+    return path
 
 
-def moved(place: Path, make: Callable[[Path], object]) -> None:
+def moved(path: Path, make: Callable[[Path], object]) -> None:
     """Create a file and move it into place; any number of processes may do so at the same time.
 
     Parameters
     ----------
-    place : Path
+    path : Path
         An existing file is replaced.
     make : callable
         Writes the file whose path it gets, which is alone in a folder beside the place.
     """
     # Beside the place, because a file can only be renamed within one file system.
-    with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
+    with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
         product = Path(scratch, "product")
         make(product)
-        product.replace(place)
+        product.replace(path)
 
 
-def store(place: Path, content: bytes) -> None:
+def store(path: Path, content: bytes) -> None:
     """Write a file that only this user can read, whole or not at all; see `moved`."""
 
     def make(product: Path) -> None:
         product.touch(0o600)
         product.write_bytes(content)
 
-    moved(place, make)
+    moved(path, make)
 
 
 def build(function: ca.Function) -> Path | None:

@@ -47,25 +47,25 @@ def confine(keep: Iterable[str | Path] = ()) -> None:
             number = ctypes.get_errno()
             raise OSError(number, f"{name}: {os.strerror(number)}")
 
-    def mount(source: str, place: str, kind: str, flags: int) -> None:
-        words = [text.encode() for text in (source, place, kind)]
+    def mount(source: str, target: str, kind: str, flags: int) -> None:
+        words = [text.encode() for text in (source, target, kind)]
         call("mount", *words, ctypes.c_ulong(flags), None)
 
-    def attributes(place: str, flags: int, add: int, remove: int) -> None:
+    def attributes(target: str, flags: int, add: int, remove: int) -> None:
         result = (ctypes.c_uint64 * 4)(add, remove, 0, 0)
-        numbers = (ctypes.c_long(_SETATTR), ctypes.c_long(-100), place.encode(), ctypes.c_uint(flags))
+        numbers = (ctypes.c_long(_SETATTR), ctypes.c_long(-100), target.encode(), ctypes.c_uint(flags))
         call("syscall", *numbers, result, ctypes.c_size_t(ctypes.sizeof(result)))
 
     user, group = os.getuid(), os.getgid()
-    hidden, kept = _places([*keep, sys.prefix, sys.base_prefix, *sys.path])
+    hidden, visible = _places([*keep, sys.prefix, sys.base_prefix, *sys.path])
     call("unshare", _NEW)
     for name, text in (("setgroups", "deny"), ("uid_map", f"{user} {user} 1"), ("gid_map", f"{group} {group} 1")):
         Path("/proc/self", name).write_text(text)
     mount("none", "/", "none", _REC | _PRIVATE)
     # The files are opened after `unshare`, because descriptors from before belong to other mounts.
-    opened = {path: os.open(path, os.O_PATH) for path in kept}
-    for place in hidden:
-        mount("none", place, "tmpfs", _NOSUID | _NODEV)
+    opened = {path: os.open(path, os.O_PATH) for path in visible}
+    for target in hidden:
+        mount("none", target, "tmpfs", _NOSUID | _NODEV)
     for path, descriptor in opened.items():
         if os.path.isdir(f"/proc/self/fd/{descriptor}"):
             os.makedirs(path, exist_ok=True)

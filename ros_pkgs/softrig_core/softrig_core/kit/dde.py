@@ -170,10 +170,10 @@ class Track:
         import numpy as np
 
         past, first, size = self._shared.past, self._count - self._capacity, self._capacity
-        made = [np.zeros((room, *rows.shape[1:])) for rows in past[:-1]]
-        for rows, new in zip(past[:-1], made, strict=True):
+        arrays = [np.zeros((room, *rows.shape[1:])) for rows in past[:-1]]
+        for rows, new in zip(past[:-1], arrays, strict=True):
             new[:size] = rows[first : self._count]
-        return Trajectory._make([*made, np.array([size, 0])])
+        return Trajectory._make([*arrays, np.array([size, 0])])
 
 
 class TrackRing(NamedTuple):
@@ -318,10 +318,10 @@ def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = Non
             for i in range(4):
                 # for each stage: its time, its weight, and how far its slope extends to the next one
                 past.meta[1] = 1 if i == 3 else 0
-                at = now if i == 0 else (now + h if i == 3 else now + 0.5 * h)
+                t_stage = now if i == 0 else (now + h if i == 3 else now + 0.5 * h)
                 weight = h / 6.0 if i == 0 or i == 3 else h / 3.0
                 ahead = h if i == 2 else 0.5 * h
-                rhs(at, stage, past, p, slope)
+                rhs(t_stage, stage, past, p, slope)
                 if i == 0:
                     first = slope.copy()
                 for j in range(width):

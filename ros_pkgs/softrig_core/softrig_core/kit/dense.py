@@ -145,15 +145,17 @@ def solve(a: ArrayLike, b: ArrayLike) -> Any:
     if A.shape != (n, n) or B.shape[:1] != (n,) or B.ndim > 2:
         raise ValueError(f"solve with shapes {A.shape} and {B.shape}: expected (n, n) and (n,) or (n, m)")
     right = B[:, None] if B.ndim == 1 else B
-    whole = A.dtype.kind == "c" or B.dtype.kind == "c"
+    is_complex = A.dtype.kind == "c" or B.dtype.kind == "c"
     # A complex system of n rows is a real one of 2 n rows.
     left, x = (
-        (np.block([[A.real, -A.imag], [A.imag, A.real]]), np.vstack([right.real, right.imag])) if whole else (A, right)
+        (np.block([[A.real, -A.imag], [A.imag, A.real]]), np.vstack([right.real, right.imag]))
+        if is_complex
+        else (A, right)
     )
     x = _matrix(x)
     if not _run(_eliminate, left.size * (left.shape[0] + x.shape[1]), _matrix(left), x):
         raise np.linalg.LinAlgError(f"a matrix of shape {A.shape} is singular or not finite")
-    if whole:
+    if is_complex:
         out = np.empty(right.shape, dtype=np.complex128)
         out.real, out.imag = x[:n], x[n:]
         x = out  # type: ignore[assignment]

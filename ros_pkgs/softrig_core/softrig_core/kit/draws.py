@@ -187,8 +187,8 @@ class Window:
 
     def number(self, k: int) -> float | None:
         """Return the k-th number of the stream, if it is in the table."""
-        place = HEAD + k - int(self.table[0])
-        return float(self.table[place]) if HEAD <= place < len(self.table) else None
+        index = HEAD + k - int(self.table[0])
+        return float(self.table[index]) if HEAD <= index < len(self.table) else None
 
     def follow(self, missed: float) -> None:
         """Move the window to a number that native code has missed; `missed` is its index + 1."""
@@ -204,6 +204,6 @@ class Window:
             self._next, self._all, begin, self.table = self._draws.drawing(), True, 0, self.table[:HEAD]
         end = begin + len(self.table) - HEAD
         first = begin if self._all else min(max(begin, k - BACK), end)
-        kept = self.table[HEAD + first - begin :]
+        overlap = self.table[HEAD + first - begin :]
         # As many new numbers as remain, so that a table which keeps all doubles and is not copied for each few numbers.
-        self.table = np.concatenate(((first, 0.0), kept, self._next(max(MOST, len(kept), k + 1 - end))))
+        self.table = np.concatenate(((first, 0.0), overlap, self._next(max(MOST, len(overlap), k + 1 - end))))

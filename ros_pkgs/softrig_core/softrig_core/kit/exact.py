@@ -68,8 +68,8 @@ def fractions(rows: Sequence[Sequence[float]], factor: float = 1.0) -> Rows:
         A number is not finite.
     """
     try:
-        by = Fraction(factor)
-        return tuple([tuple([Fraction(x) * by for x in row]) for row in rows])
+        scale = Fraction(factor)
+        return tuple([tuple([Fraction(x) * scale for x in row]) for row in rows])
     except (OverflowError, ValueError):
         raise ValueError("a matrix has numbers that are not finite; expected finite ones") from None
 
@@ -175,10 +175,10 @@ def exponential(rows: Rows, bits: int) -> Integers:
     # Each squaring doubles the truncation error, so it needs one more bit.
     wide = bits + squarings + 2 * SMALL
     scaled = integers(rows, wide - squarings)
-    one = np.empty_like(scaled)
-    one.fill(0)
-    np.fill_diagonal(one, 1 << wide)
-    result, term, k = one + scaled, scaled, 1
+    identity = np.empty_like(scaled)
+    identity.fill(0)
+    np.fill_diagonal(identity, 1 << wide)
+    result, term, k = identity + scaled, scaled, 1
     # Cutting off rounds downwards, so a negative term never becomes 0 but stays at -1.
     while max(map(abs, term.flat)) > 1:
         k += 1
@@ -254,12 +254,12 @@ def recursion(a: Integers, bits: int) -> list[int]:
     a : (n, n) array of int
     bits : int
     """
-    one = np.array([[int(i == j) for j in range(len(a))] for i in range(len(a))], dtype=object)
-    result, m = [1 << bits], one << bits
+    identity = np.array([[int(i == j) for j in range(len(a))] for i in range(len(a))], dtype=object)
+    result, m = [1 << bits], identity << bits
     for k in range(1, len(a) + 1):
         m = product(a, m, bits)
         result.append(-(sum(m.diagonal().tolist()) // k))
-        m = m + one * result[k]
+        m = m + identity * result[k]
     return result
 
 

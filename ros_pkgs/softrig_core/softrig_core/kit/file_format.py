@@ -49,13 +49,13 @@ class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of e
     standard: str
     table: Mapping[str, tuple[Use, str]]
 
-    def check(self, names: Iterable[str], where: str) -> list[str]:
+    def check(self, names: Iterable[str], source: str) -> list[str]:
         """Check the names that a file has.
 
         Parameters
         ----------
         names : iterable of str
-        where : str
+        source : str
             The file, for messages.
 
         Returns
@@ -73,15 +73,15 @@ class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of e
             key = self.entry(name)
             if key is None:
                 raise ScenarioError(
-                    f"{where}: {name} is no part of {self.title}{closest(name, self.known())}; "
+                    f"{source}: {name} is no part of {self.title}{closest(name, self.known())}; "
                     "remove it or correct its name"
                 )
             use, text = self.table[key]
             if use == "refused":
-                raise ScenarioError(f"{where}: {name} is refused: {text}")
+                raise ScenarioError(f"{source}: {name} is refused: {text}")
             if use == "ignored":
                 shown = key.removesuffix(BELOW)
-                notes.setdefault(shown, f"{where}: {shown} is ignored: {text}")
+                notes.setdefault(shown, f"{source}: {shown} is ignored: {text}")
         return list(notes.values())
 
     def entry(self, name: str) -> str | None:

@@ -125,13 +125,13 @@ class History:
         """Read all channels at an age in samples: 0 is the newest, 1 the one before; beyond the oldest, that one."""
         line = self._line
         back = min(int(age), line.size - 2)
-        part = min(age, line.size - 1.0) - back
-        place = self._count - 1 - back
-        newer = line.rows[place]
-        if part == 0.0:
+        share = min(age, line.size - 1.0) - back
+        index = self._count - 1 - back
+        newer = line.rows[index]
+        if share == 0.0:
             return newer
-        older = line.rows[place - 1]
-        return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
+        older = line.rows[index - 1]
+        return tuple([new + share * (old - new) for new, old in zip(newer, older, strict=True)])
 
     def numbers(self) -> NDArray[np.float64]:
         """Return all its samples in one row, the oldest first: the states of a linear view."""
@@ -225,19 +225,19 @@ class HistoryRing(NamedTuple):
 
     def back(self, k: int) -> Row:
         """See `History.back`."""
-        place, width = (self.written - 1 - k) % (2 * self.size), len(self.newest)
-        return tuple([self.ring[place * width + j] for j, _ in enumerate(self.newest)])
+        index, width = (self.written - 1 - k) % (2 * self.size), len(self.newest)
+        return tuple([self.ring[index * width + j] for j, _ in enumerate(self.newest)])
 
     def aged(self, age: float) -> Row:
         """See `History.aged`."""
         back = min(int(age), self.size - 2)
-        part = min(age, self.size - 1.0) - back
-        place, room, width = self.written - 1 - back, 2 * self.size, len(self.newest)
-        newer = tuple([self.ring[place % room * width + k] for k, _ in enumerate(self.newest)])
-        if part == 0.0:
+        share = min(age, self.size - 1.0) - back
+        index, room, width = self.written - 1 - back, 2 * self.size, len(self.newest)
+        newer = tuple([self.ring[index % room * width + k] for k, _ in enumerate(self.newest)])
+        if share == 0.0:
             return newer
-        older = tuple([self.ring[(place - 1) % room * width + k] for k, _ in enumerate(self.newest)])
-        return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
+        older = tuple([self.ring[(index - 1) % room * width + k] for k, _ in enumerate(self.newest)])
+        return tuple([new + share * (old - new) for new, old in zip(newer, older, strict=True)])
 
     def python(self) -> History:
         """Return its Python form."""
@@ -263,6 +263,6 @@ def _repeated(size: int, row: Row) -> NDArray[np.float64]:
 
 
 @jit
-def _write(ring: NDArray[np.float64], at: int, row: Row) -> None:
+def _write(ring: NDArray[np.float64], offset: int, row: Row) -> None:
     for k in range(len(row)):
-        ring[at + k] = row[k]
+        ring[offset + k] = row[k]

@@ -113,8 +113,8 @@ class Jit:
             return False
         self._asked += 1
         if self._asked == SOME:
-            made = self.dispatcher(our_numba())
-            self._stored = made._cache.has(tuple(map(made.typeof_pyval, arguments)), made.targetctx)
+            dispatcher = self.dispatcher(our_numba())
+            self._stored = dispatcher._cache.has(tuple(map(dispatcher.typeof_pyval, arguments)), dispatcher.targetctx)
         return self._asked >= (SOME if self._stored else MANY)
 
     def _first(self, *arguments: Any) -> Any:
@@ -156,13 +156,13 @@ class Jit:
         from ._jit_cache import Cache
 
         kinds: dict[str, type] = {}
-        found = [_parts(value, f"a{k}", kinds) for k, value in enumerate(arguments)]
-        tests = [test for part in found for test in part.tests]
-        names = ", ".join(name for part in found for name in part.names)
+        parts = [_parts(value, f"a{k}", kinds) for k, value in enumerate(arguments)]
+        tests = [test for part in parts for test in part.tests]
+        names = ", ".join(name for part in parts for name in part.names)
         # The generated call passes exactly these arguments, so a function with defaults is called as it is.
         if not tests or names.count(",") >= MOST_PARTS or self.py_func.__defaults__:
             return None
-        text = f"def parted({names}):\n    return function({', '.join(part.made for part in found)})\n"
+        text = f"def parted({names}):\n    return function({', '.join(part.made for part in parts)})\n"
         tokens = (self.digest(), text, *(f"{name} {t.__module__}.{t.__qualname__}" for name, t in kinds.items()))
         digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()
         # numba looks for the module of a function that it loads from the cache.
@@ -174,9 +174,9 @@ class Jit:
         # A class that cannot be imported would be another class in the next process, so such code is not stored.
         parted._cache = Cache(self.py_func.__qualname__, digest, (b"__main__", b"<locals>"))
         scope |= {"parted": parted, "whole": self.dispatcher(numba)}
-        given, handed = ", ".join(f"a{k}" for k, _ in enumerate(arguments)), ", ".join(part.handed for part in found)
+        params, handed = ", ".join(f"a{k}" for k, _ in enumerate(arguments)), ", ".join(part.handed for part in parts)
         test = f"if {' and '.join(tests)}:\n        return parted({handed})"
-        text = f"def call({given}):\n    {test}\n    return whole({given})\n"
+        text = f"def call({params}):\n    {test}\n    return whole({params})\n"
         exec(compile(text, f"<parts of {self.py_func.__qualname__}>", "exec"), scope)
         return cast(Callable[..., Any], scope["call"])
 
@@ -193,9 +193,9 @@ class Jit:
             function = cast(types.FunctionType, self.py_func)
             named = _copy(function, function.__globals__, function.__closure__)
             named.__qualname__ = f"{self.py_func.__qualname__}_{digest[:32]}"
-            made = numba.njit(fastmath=False, error_model="numpy", pipeline_class=Borrowing)(named)
-            made._cache = Cache(self.py_func.__qualname__, digest)
-            self._dispatcher = made
+            dispatcher = numba.njit(fastmath=False, error_model="numpy", pipeline_class=Borrowing)(named)
+            dispatcher._cache = Cache(self.py_func.__qualname__, digest)
+            self._dispatcher = dispatcher
         return self._dispatcher
 
     def digest(self) -> str:
@@ -280,7 +280,7 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 def _operators(code: types.CodeType) -> set[int]:
     # A code consists of pairs of bytes, operation and argument; unused places between them are 0.
-    return {which for word, which in zip(code.co_code[::2], code.co_code[1::2], strict=True) if word == BINARY_OP}
+    return {operator for word, operator in zip(code.co_code[::2], code.co_code[1::2], strict=True) if word == BINARY_OP}
 
 
 BINARY_OP = dis.opmap["BINARY_OP"]
@@ -292,20 +292,20 @@ def _is_clean(code: types.CodeType, function: Callable[..., Any]) -> bool:
 
     This takes 0.04 ms a function. Decoding the instructions, which `_check` does if this finds something, takes 7 ms.
     """
-    words = {*code.co_names, *code.co_freevars, *code.co_cellvars}
-    if words & REFUSED.keys() or _operators(code) & REFUSED_OPERATORS:
+    names = {*code.co_names, *code.co_freevars, *code.co_cellvars}
+    if names & REFUSED.keys() or _operators(code) & REFUSED_OPERATORS:
         return False
-    results = [_named(function, word) for word in words]
-    for owner in [one for one in results if isinstance(one, types.ModuleType)]:
-        inside = {word: getattr(owner, word) for word in words if hasattr(owner, word)}
-        if owner.__name__ == "numpy" and not NUMPY.issuperset(inside):
+    results = [_named(function, word) for word in names]
+    for owner in [item for item in results if isinstance(item, types.ModuleType)]:
+        attributes = {word: getattr(owner, word) for word in names if hasattr(owner, word)}
+        if owner.__name__ == "numpy" and not NUMPY.issuperset(attributes):
             return False
-        if any(isinstance(one, types.ModuleType) for one in inside.values()):
+        if any(isinstance(item, types.ModuleType) for item in attributes.values()):
             return False
-        results += inside.values()
+        results += attributes.values()
     try:
-        for one in results:
-            _check_call(function, one)
+        for item in results:
+            _check_call(function, item)
     except ValueError:
         return False
     return True
@@ -345,7 +345,7 @@ def _check_call(function: Callable[..., Any], value: Any) -> None:
     if home.startswith("numpy") and callable(value):
         import numpy as np
 
-        if all(value is not getattr(np, own) for own in NUMPY):
+        if all(value is not getattr(np, known) for known in NUMPY):
             raise _foreign(function, name)
 
 

@@ -77,18 +77,18 @@ def of_these(kept: Kept[A], objects: Sequence[Any], make: Callable[[], A]) -> A:
 _made: dict[tuple[Any, bytes], Any] = {}
 
 
-def shared(function: Callable[[Any, Any], A], of: Any, values: Any) -> A:
+def shared(function: Callable[[Any, Any], A], owner: Any, values: Any) -> A:
     """Return the result of a function for a class and plain data; equal data give the same object.
 
     Types count: 1, 1.0 and True are three values.
     """
     try:
-        key = of, pickle.dumps(values)
+        key = owner, pickle.dumps(values)
     # These are no plain data; the function itself reports that.
     except Exception:
-        return function(of, values)
+        return function(owner, values)
     if key not in _made:
-        result = function(of, values)
+        result = function(owner, values)
         if len(_made) >= KEPT:
             _made.clear()
         _made[key] = result

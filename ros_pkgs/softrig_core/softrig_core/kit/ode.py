@@ -40,11 +40,11 @@ def resolving_step(period: float, substeps: int, *rates: tuple[float, str]) -> f
     ValueError
         A rate needs more than `STEPS` steps and more than `substeps`; names it.
     """
-    rate, of = max(rates)
+    rate, name = max(rates)
     needed = rate * period / RESOLVED * (1.0 - 1e-12)  # what rounding adds is no further step
     if needed > max(STEPS, substeps):
         raise ValueError(
-            f"{of}: its fastest time constant is {1.0 / rate:.2g} s, a period is {period:g} s; check the units, or "
+            f"{name}: its fastest time constant is {1.0 / rate:.2g} s, a period is {period:g} s; check the units, or "
             f"use {math.ceil(min(needed, 1e9))} substeps"
         )
     return min(period / substeps, RESOLVED / rate) if rate > 0.0 else period / substeps
@@ -111,10 +111,10 @@ def rk4_loop(ode: Callable[..., None], limit: Callable[..., None] | None = None)
                 start[j] = stage[j] = x[j]
             for i in range(4):
                 # for each stage: its time, its weight, and how far its slope extends to the next one
-                at = now if i == 0 else (now + h if i == 3 else now + 0.5 * h)
+                t_stage = now if i == 0 else (now + h if i == 3 else now + 0.5 * h)
                 weight = h / 6.0 if i == 0 or i == 3 else h / 3.0
                 ahead = h if i == 2 else (0.0 if i == 3 else 0.5 * h)
-                ode(at, stage, p, slope)
+                ode(t_stage, stage, p, slope)
                 for j in range(x.size):
                     stage[j] = start[j] + ahead * slope[j]
                     x[j] += weight * slope[j]

@@ -31,12 +31,12 @@ def resource(source: str, kind: str = "file") -> Path:
     """
     if source.startswith("package://"):
         package, _, remaining = source.removeprefix("package://").partition("/")
-        places = [prefix / "share" / package / remaining for prefix in prefixes()]
+        candidates = [prefix / "share" / package / remaining for prefix in prefixes()]
         spec = importlib.util.find_spec(package) if package.isidentifier() else None
-        places += [Path(folder, remaining) for folder in (spec and spec.submodule_search_locations) or ()]
+        candidates += [Path(folder, remaining) for folder in (spec and spec.submodule_search_locations) or ()]
     else:
-        places = [Path(source)]
-    for place in places:
-        if isfile(place):
-            return place
-    raise ValueError(f"no {kind} {source!r}; looked for {', '.join(map(str, places))}")
+        candidates = [Path(source)]
+    for candidate in candidates:
+        if isfile(candidate):
+            return candidate
+    raise ValueError(f"no {kind} {source!r}; looked for {', '.join(map(str, candidates))}")

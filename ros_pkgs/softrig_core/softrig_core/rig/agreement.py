@@ -26,12 +26,12 @@ def agreed(block: type[Block], params: Any) -> Mapping[str, Any]:
         return block.agreed(params)
 
 
-def require_agreement(where: str, members: Iterable[Named]) -> None:
+def require_agreement(context: str, members: Iterable[Named]) -> None:
     """Compare the values that the blocks declare by `Block.agreed`.
 
     Parameters
     ----------
-    where : str
+    context : str
         Name of the scenario, for the message.
     members : iterable
         The nodes of the rig.
@@ -48,7 +48,7 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
             node, known = quantities[quantity]
             if not _same(known, value):
                 raise ScenarioError(
-                    f"{where}: {node} and {member.name} must agree on {quantity}, but {node} has {shown(known)} and "
+                    f"{context}: {node} and {member.name} must agree on {quantity}, but {node} has {shown(known)} and "
                     f"{member.name} has {shown(value)}; a shared value or ${node}.PARAMETER keeps them together"
                 )
 
@@ -121,13 +121,13 @@ def agreeing(
     return filled
 
 
-def _same(one: Any, other: Any) -> bool:
+def _same(a: Any, b: Any) -> bool:
     """Compare with a tolerance for the last digits of a product."""
-    if isinstance(one, tuple) and isinstance(other, tuple):
-        return len(one) == len(other) and all(map(_same, one, other))
-    if isinstance(one, float | int) and isinstance(other, float | int):
-        return math.isclose(one, other, rel_tol=1e-12, abs_tol=1e-300)
-    return bool(one == other)
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, float | int) and isinstance(b, float | int):
+        return math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-300)
+    return bool(a == b)
 
 
 def shown(value: Any) -> str:

@@ -40,12 +40,12 @@ def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) ->
     results: dict[str, str] = {}
     seen: set[str] = set()
     todo = [name for m in (__name__, *modules) if _folder(name := m.partition(".")[0]) is not None]
-    for one in dict.fromkeys(base for cls in classes for base in cls.__mro__ if issubclass(base, Block)):
-        package = one.__module__.partition(".")[0]
+    for block_class in dict.fromkeys(base for cls in classes for base in cls.__mro__ if issubclass(base, Block)):
+        package = block_class.__module__.partition(".")[0]
         if _folder(package) is not None:
             todo.append(package)
         else:
-            results[f"{one.__module__}.{one.__qualname__}"] = _source(one)
+            results[f"{block_class.__module__}.{block_class.__qualname__}"] = _source(block_class)
     while todo:
         package = todo.pop()
         if package not in seen:
@@ -66,26 +66,26 @@ def _folder(package: str) -> Path | None:
         return None
     if spec is None:
         return None
-    places = list(spec.submodule_search_locations or ())
-    return Path(places[0]) if places else Path(spec.origin) if spec.origin and isfile(spec.origin) else None
+    folders = list(spec.submodule_search_locations or ())
+    return Path(folders[0]) if folders else Path(spec.origin) if spec.origin and isfile(spec.origin) else None
 
 
 @cache
 def _package(package: str) -> tuple[str, tuple[str, ...]]:
     """Fingerprint of a package's files, and the packages of its kind that it imports."""
-    place = _folder(package)
-    assert place is not None
-    files = [f for f in sorted(place.rglob("*")) if f.is_file()] if place.is_dir() else [place]
+    folder = _folder(package)
+    assert folder is not None
+    files = [f for f in sorted(folder.rglob("*")) if f.is_file()] if folder.is_dir() else [folder]
     digest, imported = hashlib.sha256(), set()
     for file in files:
         if _BUILT & {*file.parts, file.suffix}:
             continue
         content = file.read_bytes()
-        digest.update(f"{file.relative_to(place.parent)}\0{len(content)}\0".encode() + content)
+        digest.update(f"{file.relative_to(folder.parent)}\0{len(content)}\0".encode() + content)
         if file.suffix == ".py":
             imported |= set(_IMPORT.findall(content.decode(errors="replace")))
-    ours = sorted(name for name in imported - {package} if _is_own(name) and _folder(name) is not None)
-    return digest.hexdigest()[:LETTERS], tuple(ours)
+    own_imports = sorted(name for name in imported - {package} if _is_own(name) and _folder(name) is not None)
+    return digest.hexdigest()[:LETTERS], tuple(own_imports)
 
 
 def is_ours(module: str) -> bool:
@@ -100,9 +100,9 @@ def _is_own(package: str) -> bool:
     return is_ours(package) or any(map(isfile, marks))
 
 
-def _source(one: type[Block]) -> str:
+def _source(block_class: type[Block]) -> str:
     try:
-        text = inspect.getsource(one)
+        text = inspect.getsource(block_class)
     except (OSError, TypeError):  # typed at a prompt
         return "unknown"
     return hashlib.sha256(text.encode()).hexdigest()[:LETTERS]

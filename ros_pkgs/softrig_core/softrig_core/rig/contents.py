@@ -34,33 +34,33 @@ def contents(block: Block) -> dict[str, str]:
     what a class names in ``SCRATCH``, cached properties, and what libraries keep outside of Python.
     """
     skipped = _RUNNERS | _scratch(type(block))
-    own = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
-    return own | reached(type(block))
+    attributes = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
+    return attributes | reached(type(block))
 
 
 def reached(block_class: type[Block]) -> dict[str, str]:
     """Return a digest of the objects outside a block that its code can change, because they outlive a run."""
     skipped, result = _RUNNERS | _scratch(block_class), dict[str, str]()
-    for of in block_class.__mro__:
-        if issubclass(of, Block) and of.__module__.partition(".")[0] != "softrig_core":
+    for cls in block_class.__mro__:
+        if issubclass(cls, Block) and cls.__module__.partition(".")[0] != "softrig_core":
             result |= {
-                f"{of.__name__}.{name}": digest(value)
-                for name, value in vars(of).items()
+                f"{cls.__name__}.{name}": digest(value)
+                for name, value in vars(cls).items()
                 if isinstance(value, CHANGEABLE) and not name.startswith("__") and name not in skipped
             }
             results: dict[str, list[Any]] = {}
-            for name, value in _outside(of):
+            for name, value in _outside(cls):
                 if name not in skipped:
                     results.setdefault(name, []).append(value)
             result |= {name: digest(values) for name, values in results.items()}
     return result
 
 
-def _outside(of: type) -> Iterator[tuple[str, Any]]:
-    if is_foreign(of):
-        yield from all_outside(of)
+def _outside(cls: type) -> Iterator[tuple[str, Any]]:
+    if is_foreign(cls):
+        yield from all_outside(cls)
         return
-    for value in vars(of).values():
+    for value in vars(cls).values():
         if isinstance(value, types.FunctionType):
             yield from outside(value)
 
@@ -92,7 +92,7 @@ class StartContents:
             if thorough or type(step.block) not in _passed
         }
         foreign = {name: type(step.block) for name, step in steps.items() if many and is_foreign(type(step.block))}
-        self._reached = {name: (of, reached(of)) for name, of in foreign.items()}
+        self._reached = {name: (cls, reached(cls)) for name, cls in foreign.items()}
         self._left = {name: float(steps[name].schedule.time(1)) for name in self._begun}
         self.due = min(self._left.values(), default=math.inf)
 
@@ -112,30 +112,30 @@ class StartContents:
                 if block.p is params and (changed := differing(begun, contents(block))):
                     raise _impure(name, type(block), changed)
                 _passed.add(type(block))
-        for name, (of, known) in self._reached.items() if t == math.inf else ():
-            if changed := differing(known, reached(of)):
-                raise _impure(name, of, changed)
+        for name, (cls, known) in self._reached.items() if t == math.inf else ():
+            if changed := differing(known, reached(cls)):
+                raise _impure(name, cls, changed)
         self.due = min(self._left.values(), default=math.inf)
 
 
 _passed: set[type[Block]] = set()
 
 
-def _impure(name: str, of: type[Block], changed: Sequence[str]) -> Impure:
-    error = Impure(f"{name}: {in_place(of, changed)}")
+def _impure(name: str, cls: type[Block], changed: Sequence[str]) -> Impure:
+    error = Impure(f"{name}: {in_place(cls, changed)}")
     error.node = name
     return error
 
 
-def differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
+def differing(before: Mapping[str, str], after: Mapping[str, str]) -> list[str]:
     """Return the names whose digests differ, or that only one has."""
-    return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
+    return sorted(name for name in before.keys() | after.keys() if before.get(name) != after.get(name))
 
 
-def in_place(of: type[Block], changed: Sequence[str]) -> str:
+def in_place(cls: type[Block], changed: Sequence[str]) -> str:
     """Describe which attributes the ticks of a block change, and what the author can do about it."""
     return (
-        f"its ticks change {', '.join(changed)} in place ({of.__name__}); make its state a field of x, or name the "
+        f"its ticks change {', '.join(changed)} in place ({cls.__name__}); make its state a field of x, or name the "
         "attribute in SCRATCH if no answer depends on it"
     )
 
@@ -143,14 +143,14 @@ def in_place(of: type[Block], changed: Sequence[str]) -> str:
 _known_scratch: dict[type, frozenset[str]] = {}
 
 
-def _scratch(of: type) -> frozenset[str]:
-    if of not in _known_scratch:
+def _scratch(cls: type) -> frozenset[str]:
+    if cls not in _known_scratch:
         names: set[str] = set()
-        for base in of.__mro__:
+        for base in cls.__mro__:
             names |= vars(base).get("SCRATCH", frozenset())
             names |= {name for name, value in vars(base).items() if isinstance(value, cached_property)}
-        _known_scratch[of] = frozenset(names)
-    return _known_scratch[of]
+        _known_scratch[cls] = frozenset(names)
+    return _known_scratch[cls]
 
 
 def digest(value: Any) -> str:
@@ -159,15 +159,15 @@ def digest(value: Any) -> str:
     seen: dict[int, Any] = {}  # by identity, and kept, so that no identity is used again
     stack = [value]
     while stack:
-        one = stack.pop()
-        if isinstance(one, _PLAIN):
-            result.update(f"{type(one).__name__} {one!r};".encode())
-        elif id(one) in seen:
+        item = stack.pop()
+        if isinstance(item, _PLAIN):
+            result.update(f"{type(item).__name__} {item!r};".encode())
+        elif id(item) in seen:
             result.update(b"again;")
         else:
-            seen[id(one)] = one
-            label, parts = _parts(one)
-            result.update(f"{type(one).__qualname__} {label};".encode())
+            seen[id(item)] = item
+            label, parts = _parts(item)
+            result.update(f"{type(item).__qualname__} {label};".encode())
             stack.extend(parts)
     return result.hexdigest()
 
@@ -215,4 +215,4 @@ def _attributes(value: Any) -> list[Any]:
     slots = [name for base in type(value).__mro__ for name in getattr(base, "__slots__", ()) if name[:2] != "__"]
     known = dict(getattr(value, "__dict__", {}))
     known |= {name: getattr(value, name) for name in slots if hasattr(value, name)}
-    return [part for name, one in known.items() if name not in scratch for part in (name, one)]
+    return [part for name, item in known.items() if name not in scratch for part in (name, item)]

@@ -23,9 +23,9 @@ _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib"
 _FUNCTIONS = (types.FunctionType, staticmethod, classmethod, property, partial)
 
 
-def is_foreign(of: type) -> bool:
+def is_foreign(cls: type) -> bool:
     """Return whether a block class is not of softrig's own packages."""
-    return not is_ours(of.__module__)
+    return not is_ours(cls.__module__)
 
 
 def outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
@@ -38,18 +38,18 @@ def outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
             yield name, cell.cell_contents
 
 
-def all_outside(of: type) -> Iterator[tuple[str, Any]]:
+def all_outside(cls: type) -> Iterator[tuple[str, Any]]:
     """Yield the variables, values of closures, mutable defaults, attributes of functions and random generators
     that the methods of a user's class reach, through functions, classes and modules that are not libraries.
     """
     seen: set[int] = set()
     # An author's package may be installed like a library.
-    package = of.__module__.partition(".")[0]
+    package = cls.__module__.partition(".")[0]
 
     def is_library(module: str) -> bool:
         return module.partition(".")[0] != package and _is_library(module)
 
-    todo: list[Any] = list(vars(of).values())
+    todo: list[Any] = list(vars(cls).values())
     while todo:
         function = _function(todo.pop())
         if function is None or id(function) in seen or is_library(function.__module__):
@@ -63,10 +63,10 @@ def all_outside(of: type) -> Iterator[tuple[str, Any]]:
                     seen.add(id(value))
                     todo += vars(value).values()
                     yield from (
-                        (f"{value.__name__}.{key}", one)
-                        for key, one in vars(value).items()
+                        (f"{value.__name__}.{key}", item)
+                        for key, item in vars(value).items()
                         # Ports are constants, and a digest of them takes as long as a short run.
-                        if key[0] != "_" and _is_kept(one) and not (key.isupper() and isinstance(one, tuple))
+                        if key[0] != "_" and _is_kept(item) and not (key.isupper() and isinstance(item, tuple))
                     )
             elif _is_kept(value) and not (name.isupper() and isinstance(value, tuple)):
                 yield name, value
@@ -84,7 +84,8 @@ def _function(value: Any) -> types.FunctionType | None:
     """Return the Python function behind a method, a property, a cached or a partial one; None if there is none."""
     while not isinstance(value, types.FunctionType):
         inner = next(
-            (one for key in ("__wrapped__", "__func__", "fget", "func") if (one := getattr(value, key, None))), None
+            (target for key in ("__wrapped__", "__func__", "fget", "func") if (target := getattr(value, key, None))),
+            None,
         )
         if inner is None or isinstance(value, type):
             return None
@@ -106,8 +107,8 @@ def _named(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         if is_filled(cell):
             yield name, cell.cell_contents
-    given = (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())
-    yield from ((f"a default of {function.__name__}", value) for value in given)
+    defaults = (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())
+    yield from ((f"a default of {function.__name__}", value) for value in defaults)
     yield from ((f"{function.__name__}.{key}", value) for key, value in vars(function).items() if key != "__wrapped__")
 
 

@@ -189,23 +189,23 @@ def _remapped(ports: tuple[Port, ...], remap: Mapping[str, str]) -> tuple[Port, 
 
 def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeParameters) -> Member:
     entry = scenario.nodes[name]
-    where = f"{scenario.name}: node {name}"
+    context = f"{scenario.name}: node {name}"
     params: Any = parameters(name)  # its errors name the node already
     if isinstance(entry.external, ClockEntry):
-        block = clocked(block, entry.external, params, where)
-    with blaming(where):
+        block = clocked(block, entry.external, params, context)
+    with blaming(context):
         inputs, outputs = _ports(block, params)
     if entry.link is not None:
         if entry.external:
-            raise ScenarioError(f"{where}: it is external and has a link; remove one of the two")
+            raise ScenarioError(f"{context}: it is external and has a link; remove one of the two")
         from ..board.link import linked  # with all wires: few rigs have one, and its imports take 20 ms
 
-        block = linked(block, entry.link, params, where)
+        block = linked(block, entry.link, params, context)
     for topic in entry.remap:
         topics = [p.topic for p in (*inputs, *outputs)]
         if topic not in topics:
             raise ScenarioError(
-                f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}"
+                f"{context}: remap of {topic!r}, but its topics are {', '.join(topics)}"
                 f"{scenario.written('nodes', name, 'remap', topic)}"
             )
     if entry.remap:
@@ -245,8 +245,8 @@ def _link(scenario: Scenario, members: list[Member], new: list[Member]) -> None:
     for member in members:
         for port in member.outputs:
             if port.topic in sources:
-                other = sources[port.topic][0].name
-                raise ScenarioError(f"{scenario.name}: {other} and {member.name} both publish {port.topic}")
+                rival = sources[port.topic][0].name
+                raise ScenarioError(f"{scenario.name}: {rival} and {member.name} both publish {port.topic}")
             sources[port.topic] = (member, port)
     for member in new:
         for port in member.inputs:
@@ -257,11 +257,11 @@ def _link(scenario: Scenario, members: list[Member], new: list[Member]) -> None:
                     f"{scenario.name}: no node publishes {port.topic}, which {member.name} needs; "
                     f"published are {', '.join(sources)}"
                 )
-            source, out = sources[port.topic]
+            source, output = sources[port.topic]
             try:
-                if out.delayed and not port.delayed:
+                if output.delayed and not port.delayed:
                     raise Refused("its stamps are acquisition times, but the input pairs by stamp")
-                member.links[port.name] = Link(source, out, selection(out, port))
+                member.links[port.name] = Link(source, output, selection(output, port))
             except Refused as error:
                 raise ScenarioError(
                     f"{scenario.name}: {port.topic} from {source.name} does not fit {member.name}: {error}"
@@ -275,8 +275,8 @@ def _expected(rig: Rig) -> dict[str, Expectation]:
         try:
             result[name] = limits.resolved(rig.reference)
         except ScenarioError as error:
-            at = rig.scenario.written("expect", name)
-            raise ScenarioError(f"{rig.scenario.name}: expect {name}: {error}{at}") from None
+            location = rig.scenario.written("expect", name)
+            raise ScenarioError(f"{rig.scenario.name}: expect {name}: {error}{location}") from None
     return result
 
 
@@ -319,8 +319,8 @@ def _check_units(scenario: Scenario, members: list[Member]) -> None:
             link = member.links.get(port.name)
             for label, wanted in zip(port.labels, port.units, strict=True) if link else ():
                 assert link is not None
-                given = unit_of(link.source, link.port, label) if label in link.port.places else ""
-                if wrong := misfit(given, wanted):
+                unit = unit_of(link.source, link.port, label) if label in link.port.places else ""
+                if wrong := misfit(unit, wanted):
                     raise ScenarioError(
                         f"{scenario.name}: {port.topic} from {link.source.name} does not fit "
                         f"{member.name}: {label} {wrong}"

@@ -46,7 +46,7 @@ def branched(
     start = to_ns(at) if at >= 0.0 else -1
     if not 0 <= start <= reached:
         raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has reached, 0 to {reached / SECOND:.9g} s")
-    results = [(t, node, own) for t, node, own in recorded(recording, epoch) if t < start]
+    results = [(t, node, new) for t, node, new in recorded(recording, epoch) if t < start]
     results += [
         (change.at, member.name, dict(change.values))
         for member in rig.members
@@ -54,7 +54,7 @@ def branched(
         # Changes of the scenario that took effect before `start` are among the recorded ones already.
         if member.schedule.next(change.at - 1) >= start
     ]
-    changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in own.items()}} for t, node, own in results]
+    changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in new.items()}} for t, node, new in results]
     return changes + ([{"at": start / SECOND, "set": dict(values)}] if values else [])
 
 

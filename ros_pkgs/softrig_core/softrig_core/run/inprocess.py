@@ -242,10 +242,10 @@ class _Keeper(_ToSink):
             super().send_all(times, numbers, stamps)
             return
         for (low, high, late, flag), (number, layout) in zip(where, self._layouts.items(), strict=True):
-            part, marks, published_at = numbers[:, low:high], times if late is None else stamps[:, late], times
+            rows, marks, published_at = numbers[:, low:high], times if late is None else stamps[:, late], times
             if flag is not None:
                 announced = numbers[:, flag] != 0.0
-                part, marks, published_at = part[announced], marks[announced], times[announced]
-            raw, n = layout.encode_block(marks, part).tobytes(), layout.length
+                rows, marks, published_at = rows[announced], marks[announced], times[announced]
+            raw, n = layout.encode_block(marks, rows).tobytes(), layout.length
             for k, t in enumerate(published_at.tolist()):
                 self._sink.add(number, t, raw[n * k : n * (k + 1)])

@@ -89,7 +89,7 @@ def _of(scenario: str) -> dict[str, str]:
 
 def is_recorded(member: Member) -> bool:
     """Return whether the recording of a run in process has all messages that a node of figures would receive."""
-    own, _ = member.block_class.ports(member.params)
+    declared, _ = member.block_class.ports(member.params)
     links = [(port, link) for port in member.inputs if (link := member.links.get(port.name)) is not None]
     return (
         member.block_class is Figures
@@ -97,7 +97,7 @@ def is_recorded(member: Member) -> bool:
         and not member.changes
         # A node that is slower than the clock misses messages that a recording has.
         and member.schedule.every == 1
-        and [p.topic for p in own] == [p.topic for p in member.inputs]
+        and [p.topic for p in declared] == [p.topic for p in member.inputs]
         and all(p.labels == k.port.labels and not k.port.delayed and not k.port.partial for p, k in links)
     )
 

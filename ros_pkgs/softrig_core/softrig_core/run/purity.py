@@ -76,10 +76,10 @@ def is_suspect(rig: Rig) -> bool:
     Rigs with a solver, whose ticks are work of another process, are left out.
     """
     classes = [m.block_class for m in rig.members]
-    return any(map(is_foreign, classes)) and not any(issubclass(one, Solver) for one in classes)
+    return any(map(is_foreign, classes)) and not any(issubclass(cls, Solver) for cls in classes)
 
 
-def check_same(rig: Rig, one: Recording, other: Recording) -> None:
+def check_same(rig: Rig, before: Recording, after: Recording) -> None:
     """Compare two runs of a rig with the same parameters and seed.
 
     Raises
@@ -87,24 +87,24 @@ def check_same(rig: Rig, one: Recording, other: Recording) -> None:
     Impure
         They differ; names the first signal that does, its time, and both values.
     """
-    if all(topic == other.topics[name] for name, topic in one.topics.items()):
+    if all(topic == after.topics[name] for name, topic in before.topics.items()):
         return
     publishers = {port.topic: member.name for member in rig.members for port in member.outputs}
-    places = {topic: k for k, topic in enumerate(publishers)}
-    parts = []
-    first, again = Signals(one), Signals(other)
+    order = {topic: k for k, topic in enumerate(publishers)}
+    differences = []
+    first, again = Signals(before), Signals(after)
     for name in first:
         (t, x), (_, y) = first[name], again[name]
         for k, (a, b) in enumerate(zip(x.tolist(), y.tolist(), strict=False)):
             if repr(a) != repr(b):
-                topic = max((known for known in places if name.startswith(f"{known}/")), key=len, default="")
-                parts.append((t[k], places.get(topic, len(places)), name, a, b, publishers.get(topic, "")))
+                topic = max((known for known in order if name.startswith(f"{known}/")), key=len, default="")
+                differences.append((t[k], order.get(topic, len(order)), name, a, b, publishers.get(topic, "")))
                 break
-    if not parts:
+    if not differences:
         raise Impure(f"{rig.scenario.name}: a second run of the same parameters and seed publishes other messages")
-    at, _, name, a, b, node = min(parts)
+    time, _, name, a, b, node = min(differences)
     error = Impure(
-        f"{node or rig.scenario.name}: {name} = {a} at t = {at:.9g} s, and {b} in a second run of the same parameters "
+        f"{node or rig.scenario.name}: {name} = {a} at t = {time:.9g} s, and {b} in a second run of the same parameters "
         f"and seed; {ADVICE}"
     )
     error.node = node
@@ -130,15 +130,15 @@ def _watch(member: Member, block: Block, method: str) -> None:
     is_value = type(block).save is Block.save
 
     def twice(x: Any, t: int, **inputs: Any) -> Any:
-        kept = None if is_value else block.save(x)
+        saved = None if is_value else block.save(x)
         first = once(x, t, **inputs)
         events = list(block.events)
-        one = _parts(method, first)
-        after = None if is_value or method == "outputs" else block.save(one[0])
-        second = once(x if is_value else block.load(kept), t, **inputs)
+        answer = _parts(method, first)
+        after = None if is_value or method == "outputs" else block.save(answer[0])
+        second = once(x if is_value else block.load(saved), t, **inputs)
         # The second computation must not report everything twice.
         block.events[:] = events
-        if difference := _differing(member.outputs, one, _parts(method, second), is_value):
+        if difference := _differing(member.outputs, answer, _parts(method, second), is_value):
             error = Impure(
                 f"{member.name}: the tick at t = {t / 1e9:.9g} s, computed twice from the same state and inputs, gives "
                 f"{difference}; {ADVICE}"
@@ -149,7 +149,7 @@ def _watch(member: Member, block: Block, method: str) -> None:
             return first
         # The second computation has moved the objects within the state, so they are put back to where the first one
         # left them.
-        block.load(kept if method == "outputs" else after)
+        block.load(saved if method == "outputs" else after)
         return first
 
     setattr(block, method, twice)
@@ -160,10 +160,10 @@ def _parts(method: str, value: Any) -> tuple[Any, Mapping[str, Any]]:
     return (None, value) if method == "outputs" else (value, {}) if method == "advance" else value
 
 
-def _differing(ports: Sequence[Port], one: tuple[Any, Any], other: tuple[Any, Any], is_value: bool) -> str:
+def _differing(ports: Sequence[Port], first: tuple[Any, Any], second: tuple[Any, Any], is_value: bool) -> str:
     """Name the first output, else the first number of the state, that differs; with both values."""
     for port in ports:
-        rows = [_row(result[1], port.name) for result in (one, other)]
+        rows = [_row(result[1], port.name) for result in (first, second)]
         # Texts tell -0.0 from 0.0 and find NaN equal to itself, as a comparison of bits does.
         if repr(rows[0]) != repr(rows[1]):
             for label, a, b in zip(port.labels, *(row or [None] * port.size for row in rows), strict=False):
@@ -172,7 +172,7 @@ def _differing(ports: Sequence[Port], one: tuple[Any, Any], other: tuple[Any, An
             return f"{port.topic} = {rows[0]} and then {rows[1]}"
     # Objects in a state are compared by their numbers, because the second call may have copied a buffer.
     if is_value:
-        for (name, a), (_, b) in zip(_known(one[0]), _known(other[0]), strict=False):
+        for (name, a), (_, b) in zip(_known(first[0]), _known(second[0]), strict=False):
             if a != b:
                 return f"its state {name} = {a} and then {b}"
     return ""

@@ -122,8 +122,8 @@ class Session:
     @property
     def run(self) -> Run:
         """Return the run up to the current time; later ticks are not added to it."""
-        at = self._loop.plan.clock.time(self._k)
-        return Run(self.rig, self.seed, self.recording.before(at), error=self.error, blocks=dict(self.steps))
+        t = self._loop.plan.clock.time(self._k)
+        return Run(self.rig, self.seed, self.recording.before(t), error=self.error, blocks=dict(self.steps))
 
     def step(self, ticks: int = 1) -> None:
         """Run a number of ticks, fewer if the run ends before.
@@ -182,12 +182,12 @@ class Session:
                     f"{', '.join(self.steps)}"
                 )
             by_node.setdefault(node, {})[name] = value
-        for node, own in by_node.items():
+        for node, params in by_node.items():
             try:
-                self.steps[node].set(own)
+                self.steps[node].set(params)
             except (ParameterError, ValueError) as error:
                 raise ScenarioError(f"node {node}: {error}") from None
-            self._turned.append(_Turned(self._k, node, own))
+            self._turned.append(_Turned(self._k, node, params))
 
     def undone(self, t: float) -> dict[str, Any]:
         """Return what going back to t (s) would undo: ``node.parameter`` to its newest value, in the form of `set`.
@@ -222,7 +222,7 @@ class Session:
         """
         k, undone = self._past(t), self.undone(t)
         self._turned = [turned for turned in self._turned if turned.k < k]
-        self._kept = {at: moment for at, moment in self._kept.items() if at <= k}
+        self._kept = {tick: moment for tick, moment in self._kept.items() if tick <= k}
         self._release_solvers()
         self._restore({name: step.block for name, step in self.steps.items()}, k)
         return undone
@@ -236,18 +236,18 @@ class Session:
             See `rewind`.
         """
         k = self._k if t is None else self._past(t)
-        other = object.__new__(Session)
-        other.rig, other.seed, other._every, other._why = self.rig, self.seed, self._every, self._why
+        session = object.__new__(Session)
+        session.rig, session.seed, session._every, session._why = self.rig, self.seed, self._every, self._why
         # A branch from the current time keeps the changes that wait for the next tick; one from an earlier time undoes
         # them.
-        other._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
-        other._kept = {at: moment for at, moment in self._kept.items() if at <= k}
+        session._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
+        session._kept = {tick: moment for tick, moment in self._kept.items() if tick <= k}
         # The blocks are of classes that this run has checked already.
-        other._contents = StartContents({})
+        session._contents = StartContents({})
         # `_restore` takes the messages before the branch from this recording and replaces it.
-        other.recording, other._loop = self.recording, self._loop
-        other._restore({m.name: m.block(self.seed) for m in self.rig.members}, k)
-        return other
+        session.recording, session._loop = self.recording, self._loop
+        session._restore({m.name: m.block(self.seed) for m in self.rig.members}, k)
+        return session
 
     def _past(self, t: float) -> int:
         """Return the first tick that is not before t; the run must have reached t."""
@@ -261,10 +261,10 @@ class Session:
         if not t >= 0.0:
             raise ScenarioError(f"t = {t} s: expected a time of at least 0")
         # Infinity has no number of nanoseconds, and any time beyond the end means the end.
-        schedule, at = self._loop.plan.clock, to_ns(min(t, self.rig.scenario.duration + 1.0))
+        schedule, t_ns = self._loop.plan.clock, to_ns(min(t, self.rig.scenario.duration + 1.0))
         # `tick` rounds to the nearest tick, which may lie before t.
-        k = schedule.tick(at)
-        return min(k + (schedule.time(k) < at), self.ticks + 1)
+        k = schedule.tick(t_ns)
+        return min(k + (schedule.time(k) < t_ns), self.ticks + 1)
 
     def _restore(self, blocks: dict[str, Block], k: int) -> None:
         """Restore the blocks before tick k: from the newest stored state, and by ticks from there."""

@@ -97,14 +97,14 @@ class Run:
         """Return the pickled form: the rigs as scenario and classes, without blocks and without values computed
         on demand.
         """
-        kept = {f.name: getattr(self, f.name) for f in fields(self)} | {"blocks": {}, "wanted": None}
+        state = {f.name: getattr(self, f.name) for f in fields(self)} | {"blocks": {}, "wanted": None}
         for name in ("rig", "begun"):
-            if (rig := kept[name]) is not None:
-                kept[name] = rig.scenario, rig.classes
-        return kept
+            if (rig := state[name]) is not None:
+                state[name] = rig.scenario, rig.classes
+        return state
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        rigs = {n: rig_of(made[0], classes=made[1]) for n in ("rig", "begun") if (made := state[n]) is not None}
+        rigs = {n: rig_of(stored[0], classes=stored[1]) for n in ("rig", "begun") if (stored := state[n]) is not None}
         self.__dict__.update({**state, **rigs})
 
     @property
@@ -156,9 +156,9 @@ class Run:
 
         All claims of a changed run stay open as well, because a paper describes its own machine.
         """
-        own, units = values(self.results), {r.name: r.unit for r in self.results}
+        figures, units = values(self.results), {r.name: r.unit for r in self.results}
         name = self.rig.scenario.name
-        result = findings(self.rig.scenario, lambda other: own if other == name else None, units)
+        result = findings(self.rig.scenario, lambda scenario: figures if scenario == name else None, units)
         open_ = bool(self.published_for) and not self.strict
         return [c.model_copy(update={"holds": None}) for c in result] if open_ else result
 
@@ -270,8 +270,8 @@ class Run:
         rig = rig_of(scenario, classes=self.rig.classes)
         result = simulate(rig, seed=self.seed, progress=progress, runs=runs)
         # A run in real time is not repeatable, so only runs in simulated time are compared.
-        if where := "" if self.epoch else parted(self.recording, result.recording, at):
-            raise RunError(f"{rig.scenario.name}: what ran up to t = {at:.9g} s is not what had run, first {where}")
+        if diff := "" if self.epoch else parted(self.recording, result.recording, at):
+            raise RunError(f"{rig.scenario.name}: what ran up to t = {at:.9g} s is not what had run, first {diff}")
         result.begun = begun
         return result
 

@@ -73,20 +73,20 @@ class Watch(threading.Thread):
                     ends = number, now + LAST, calls().get(self._main)
                 continue
             now += wait
-            here = calls()
+            present = calls()
             seen = {
                 thread: seen[thread] if thread in seen and seen[thread][0] is call else (call, now)
-                for thread, call in here.items()
+                for thread, call in present.items()
             }
             for call, since in seen.values():
                 # The second comparison holds at one look only, so a call is reported once.
                 if now - since >= LONG > now - since - wait:
                     print_for(*report(call, f"for {LONG:g} s; Ctrl-C ends the run"))
-            if ends[0] and here.get(self._main) is not ends[2]:
+            if ends[0] and present.get(self._main) is not ends[2]:
                 ends = 0, 0.0, None
             elif ends[2] is not None and now >= ends[1]:
-                who, text = report(ends[2], f"{LAST:g} s after {signal.Signals(ends[0]).name}")
-                print_for(who, f"{text}: the process is ended, and unwritten data are lost")
+                source, text = report(ends[2], f"{LAST:g} s after {signal.Signals(ends[0]).name}")
+                print_for(source, f"{text}: the process is ended, and unwritten data are lost")
                 # An exception in this thread would not end the process, whose main thread does not return.
                 os._exit(128 + ends[0])
 
@@ -158,16 +158,16 @@ def _is_call(code: CodeType, frame: FrameType) -> bool:
 
 def report(call: FrameType, how: str) -> tuple[str, str]:
     """Return the call that does not return, and one line with the place where it is."""
-    known, at = call.f_locals, call
+    known, deepest = call.f_locals, call
     for top in _stacks().values():  # the innermost frame of that stack
         frame: FrameType | None = top
         while frame is not None and frame is not call:
             frame = frame.f_back
-        at = top if frame is call else at
+        deepest = top if frame is call else deepest
     block = known["self"]
     if isinstance(block, Block):
         t = known.get("t")
         when = f" at t = {t / SECOND:.9g} s" if isinstance(t, int) else ""
-        where = f"{Path(at.f_code.co_filename).name}, line {at.f_lineno}"
-        return block.name or type(block).__name__, f"`{call.f_code.co_name}`{when} {STUCK} {how} ({where})"
+        location = f"{Path(deepest.f_code.co_filename).name}, line {deepest.f_lineno}"
+        return block.name or type(block).__name__, f"`{call.f_code.co_name}`{when} {STUCK} {how} ({location})"
     return "softrig", f"{block.under_way()} {STUCK} {how}"

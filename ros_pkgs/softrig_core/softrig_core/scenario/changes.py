@@ -45,12 +45,12 @@ class Changing(Protocol):
     changes: tuple[Change, ...]
 
 
-def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
+def script(source: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
     """Return each node's changes in the order of their times, each checked after those before it.
 
     Parameters
     ----------
-    where : str
+    source : str
         Name of the scenario, for errors.
     members : iterable
         The nodes of the rig.
@@ -64,23 +64,25 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
     first = {m.name: m.params for m in known.values()}
     now = dict(first)
     for entry in sorted(entries, key=lambda e: e.at):
-        at = f"{where}: change at {entry.at:g} s"
-        at_start = partial(parameter_of, f"{at}: ", first, first.__getitem__)
+        context = f"{source}: change at {entry.at:g} s"
+        at_start = partial(parameter_of, f"{context}: ", first, first.__getitem__)
         by_node: dict[str, dict[str, Any]] = {}
         for key, value in entry.set.items():
             node, _, parameter = key.partition(".")
             if node not in known or not parameter:
                 near = "" if node in known else closest(node, known)
-                raise ScenarioError(f"{at}: {key!r}{near}: expected node.parameter with node one of {', '.join(known)}")
+                raise ScenarioError(
+                    f"{context}: {key!r}{near}: expected node.parameter with node one of {', '.join(known)}"
+                )
             if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
                 parameter = WORDS.get(parameter, parameter)
             by_node.setdefault(node, {})[parameter] = fill_parameters(value, at_start)
         for node, values in by_node.items():
             member = known[node]
             if member.external:
-                raise ScenarioError(f"{at}: node {node} is external: its parameters are not ours to change")
+                raise ScenarioError(f"{context}: node {node} is external: its parameters are not ours to change")
             try:
                 now[node] = permit(member.block_class, now[node], values, node)
             except (ParameterError, ValueError) as error:
-                raise ScenarioError(f"{at}: node {node}: {error}") from None
+                raise ScenarioError(f"{context}: node {node}: {error}") from None
             member.changes = (*member.changes, Change(to_ns(entry.at), values))

@@ -45,7 +45,7 @@ class FaultEntry(BaseModel):
 
 
 def insert(
-    where: str,
+    source: str,
     faults: Mapping[str, FaultEntry],
     nodes: Mapping[str, Any],
     ports: Mapping[str, Ports],
@@ -55,7 +55,7 @@ def insert(
 
     Parameters
     ----------
-    where : str
+    source : str
         Name of the scenario, for errors.
     faults : mapping of str to FaultEntry
         By the name of the node that implements the fault.
@@ -81,22 +81,22 @@ def insert(
     readers = {(name, port.topic): port.topic for name, (inputs, _) in ports.items() for port in inputs}
     for name, fault in faults.items():
         topic, _, reader = fault.link.partition(" -> ")
-        at = f"{where}: fault {name}"
+        context = f"{source}: fault {name}"
         if name in TAKEN:
-            raise ScenarioError(f"{at}: a run's folder has a {name} of its own, expected another name")
+            raise ScenarioError(f"{context}: a run's folder has a {name} of its own, expected another name")
         if name in result:
-            raise ScenarioError(f"{at}: that is the name of a node, too")
+            raise ScenarioError(f"{context}: that is the name of a node, too")
         if topic not in sources:
             raise ScenarioError(
-                f"{at}: no node publishes {topic!r}{closest(topic, sources)}; published are {', '.join(sources)}"
+                f"{context}: no node publishes {topic!r}{closest(topic, sources)}; published are {', '.join(sources)}"
             )
         concerned = [key for key in readers if key[1] == topic and reader in ("", key[0])]
         if not concerned:
-            raise ScenarioError(f"{at}: {_unheard(topic, reader, [n for n, t in readers if t == topic])}")
+            raise ScenarioError(f"{context}: {_unheard(topic, reader, [n for n, t in readers if t == topic])}")
         before = {readers[key] for key in concerned}
         if len(before) > 1:
             raise ScenarioError(
-                f"{at}: the readers of {topic} have other faults already "
+                f"{context}: the readers of {topic} have other faults already "
                 f"({', '.join(sorted(before))}); put the fault that all share first"
             )
         sender, port = sources[topic]
@@ -118,7 +118,7 @@ def insert(
         if any(nodes[reader]["external"] for reader, _ in concerned):
             about["holds"] = True  # an outside node is not told of silence, and would be waited for
         for key in sorted(about.keys() & fault.parameters.keys() - {"period", "holds"}):
-            raise ScenarioError(f"{at}: {key} is set by the link; remove it from the fault")
+            raise ScenarioError(f"{context}: {key} is set by the link; remove it from the fault")
         result[name] = {
             "package": PACKAGE,
             "executable": EXECUTABLE,
@@ -142,7 +142,7 @@ def _unheard(topic: str, reader: str, subscribers: list[str]) -> str:
     )
 
 
-def _remap(given: Mapping[str, str], topic: str, ends: str) -> dict[str, str]:
+def _remap(remap: Mapping[str, str], topic: str, ends: str) -> dict[str, str]:
     """Return the new name of a topic that a subscriber knows under its own name."""
-    own = [name for name, target in given.items() if target == topic]
-    return dict.fromkeys(own or [topic], ends)
+    names = [name for name, target in remap.items() if target == topic]
+    return dict.fromkeys(names or [topic], ends)

@@ -32,17 +32,17 @@ def listed(broken: list[ScenarioError]) -> list[Listed]:
     broken : list
         Receives what is wrong with files and scenarios that cannot be loaded; nothing is kept then.
     """
-    place = None
+    path = None
     with suppress(OSError):  # a cache that cannot be used is no reason to list nothing
-        place = _place()
-        if (result := _kept(place)) is not None:
+        path = _place()
+        if (result := _kept(path)) is not None:
             return result
     before = _states(_candidates())
     rows = _loaded(broken)
     state = _states(_candidates())
-    if place is not None and not broken and before == state:
+    if path is not None and not broken and before == state:
         with suppress(OSError):
-            _keep(place, state, rows)
+            _keep(path, state, rows)
     return rows
 
 
@@ -62,9 +62,9 @@ def _loaded(broken: list[ScenarioError]) -> list[Listed]:
 
 def _candidates() -> list[Path]:
     """Return the files of scenarios, those that they extend, and the modules that check them."""
-    here = Path(__file__).parent
+    package = Path(__file__).parent
     files = (file for folder in scenario_folders() for file in folder.glob("*.yaml"))
-    return [*files, *here.glob("*.py"), *here.with_name("judge").glob("*.py")]
+    return [*files, *package.glob("*.py"), *package.with_name("judge").glob("*.py")]
 
 
 def _states(paths: Iterable[Path]) -> State:
@@ -86,16 +86,16 @@ def _folders() -> list[str]:
     return [str(folder.absolute()) for folder in scenario_folders()]
 
 
-def _kept(place: Path) -> list[Listed] | None:
+def _kept(path: Path) -> list[Listed] | None:
     """Return the content of the index, None if it does not belong to the present folders and files."""
     with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):  # none, or damaged
-        content = json.loads(place.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
         if content["folders"] == _folders() and content["state"] == _states(_candidates()):
             return [Listed(*row) for row in content["rows"]]
     return None
 
 
-def _keep(place: Path, state: State, rows: list[Listed]) -> None:
+def _keep(path: Path, state: State, rows: list[Listed]) -> None:
     from ..kit.compiled import store
 
-    store(place, json.dumps({"folders": _folders(), "state": state, "rows": rows}).encode())
+    store(path, json.dumps({"folders": _folders(), "state": state, "rows": rows}).encode())

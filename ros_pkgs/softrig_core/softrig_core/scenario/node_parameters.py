@@ -40,13 +40,13 @@ class NodeParameters:
 
     def __call__(self, name: str) -> Any:
         """Return the parameters of a node."""
-        where = f"{self._scenario.name}: node {name}"
+        context = f"{self._scenario.name}: node {name}"
         if name in self._open:
-            raise ScenarioError(f"{where}: its parameters refer to themselves: {' -> '.join((*self._open, name))}")
+            raise ScenarioError(f"{context}: its parameters refer to themselves: {' -> '.join((*self._open, name))}")
         if len(self._open) >= CHAIN:
             first, *_, last = self._open
             raise ScenarioError(
-                f"{where}: parameters refer to each other through {CHAIN} nodes, from {first} to {last}"
+                f"{context}: parameters refer to each other through {CHAIN} nodes, from {first} to {last}"
             )
         if name not in self._known:
             entry = self._scenario.nodes[name]
@@ -57,10 +57,10 @@ class NodeParameters:
                 self._known[name] = parameters(self._classes[name], values)
             except ParameterError as error:
                 wrong = [k for k in entry.parameters if re.search(rf"\bparameter {re.escape(k)}(?![\w.])", str(error))]
-                at = self._scenario.written("nodes", name, "parameters", *wrong[:1])
-                raise ScenarioError(f"{where}: {error}{at}") from None
+                location = self._scenario.written("nodes", name, "parameters", *wrong[:1])
+                raise ScenarioError(f"{context}: {error}{location}") from None
         return self._known[name]
 
     def _of(self, node: str, parameter: str) -> Any:
-        where = f"{self._scenario.name}: node {self._open[-1]}: "
-        return parameter_of(where, self._scenario.nodes, self, node, parameter)
+        context = f"{self._scenario.name}: node {self._open[-1]}: "
+        return parameter_of(context, self._scenario.nodes, self, node, parameter)

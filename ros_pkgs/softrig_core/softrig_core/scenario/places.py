@@ -73,7 +73,7 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
         What was validated.
     """
     first = error.errors()[0]
-    where = ".".join(str(p) for p in first["loc"])
+    location = ".".join(str(p) for p in first["loc"])
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     hint = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":
@@ -81,9 +81,9 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
         hint = f"unknown key{closest(key, keys)}"
         if "arguments" in keys and hint == "unknown key":  # of a figure
             hint += f"; arguments of its function belong below arguments: {{{key}: ...}}"
-    whole = first["type"] == "missing" or isinstance(first["input"], BaseModel | dict)
-    given = "" if whole else f", got {first['input']!r}"[:120]
-    return f"{where}: {hint}{given}{more}" if where else f"{hint}{more}"
+    structured = first["type"] == "missing" or isinstance(first["input"], BaseModel | dict)
+    value = "" if structured else f", got {first['input']!r}"[:120]
+    return f"{location}: {hint}{value}{more}" if location else f"{hint}{more}"
 
 
 def _keys(model: type[BaseModel] | None, above: Sequence[Any]) -> list[str]:

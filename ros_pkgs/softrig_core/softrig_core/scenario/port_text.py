@@ -32,10 +32,10 @@ def ports_of(text: str) -> tuple[Port, ...]:
         The text is not JSON or does not describe ports; the message states what was expected.
     """
     try:
-        given: list[dict[str, Any]] = json_of(text)
+        entries: list[dict[str, Any]] = json_of(text)
         shaped: list[dict[str, Any]] = [
             {k: tuple(v) if k in _TUPLES else tuple(map(tuple, v)) if k == "dims" else v for k, v in p.items()}
-            for p in given
+            for p in entries
         ]
         return tuple(Port(**about) for about in shaped)
     except (TypeError, AttributeError, KeyError, ValueError) as error:

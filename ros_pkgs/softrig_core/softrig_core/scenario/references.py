@@ -34,7 +34,7 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
         There is no such shared value, one refers to itself, or there are more than `NODES` values or more than
         `DEEPEST` levels.
     """
-    made, depth = 1, 0
+    count, depth = 1, 0
 
     def known(name: str, path: tuple[str, ...]) -> Any:
         if name in path:
@@ -45,15 +45,15 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
         return copy(shared[name], (*path, name))
 
     def copy(value: Any, path: tuple[str, ...]) -> Any:
-        nonlocal made, depth
+        nonlocal count, depth
         if type(value) in _PLAIN or (type(value) is str and value[:1] != "$"):  # most of a file
             return value
-        made += len(value) if isinstance(value, list | tuple) else 2 * len(value) if isinstance(value, Mapping) else 0
+        count += len(value) if isinstance(value, list | tuple) else 2 * len(value) if isinstance(value, Mapping) else 0
         depth += 1
-        if made > NODES or depth > DEEPEST:
-            what = f"{NODES} values" if made > NODES else f"{DEEPEST} values in each other"
-            by = f" (by {' -> '.join(path[:5])}{' -> ...' if len(path) > 5 else ''})" if path else ""
-            raise ScenarioError(f"its $ references make more than {what}{by}; expected fewer references")
+        if count > NODES or depth > DEEPEST:
+            limit = f"{NODES} values" if count > NODES else f"{DEEPEST} values in each other"
+            through = f" (by {' -> '.join(path[:5])}{' -> ...' if len(path) > 5 else ''})" if path else ""
+            raise ScenarioError(f"its $ references make more than {limit}{through}; expected fewer references")
         result = copied(value, path)
         depth -= 1
         return result
@@ -89,20 +89,20 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
     ScenarioError
         What takes the places of references has more than `NODES` values.
     """
-    made = 0
+    count = 0
 
     def copy(value: Any) -> Any:
-        nonlocal made
+        nonlocal count
         if isinstance(value, str):
             if value[:1] != "$":
                 return value
             match = _PARAMETER.fullmatch(value)
             if match:
-                given = parameter(match[1], match[2])
-                made += len(given) if isinstance(given, list | tuple | dict) else 1
-                if made > NODES:
+                result = parameter(match[1], match[2])
+                count += len(result) if isinstance(result, list | tuple | dict) else 1
+                if count > NODES:
                     raise ScenarioError(f"{value}: its $ references make more than {NODES} values; expected fewer")
-                return given
+                return result
             return value[1:] if value.startswith("$$") else value
         if type(value) in _PLAIN:
             return value
@@ -139,7 +139,7 @@ def pick(values: Mapping[str, Any], name: str) -> Any:
     raise KeyError(name)
 
 
-def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], Any], node: str, name: str) -> Any:
+def parameter_of(context: str, nodes: Mapping[str, Any], params: Callable[[str], Any], node: str, name: str) -> Any:
     """Return the value of ``$node.parameter``; `params` returns the parameters of a node.
 
     The name may also be a value that is `derived` from the parameters.
@@ -147,17 +147,17 @@ def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], A
     Raises
     ------
     ScenarioError
-        There is no such node or parameter; the message begins with `where`.
+        There is no such node or parameter; the message begins with `context`.
     """
     if node not in nodes:
-        raise ScenarioError(f"{where}${node}.{name}: the nodes are {', '.join(nodes)}")
-    own = params(node)
+        raise ScenarioError(f"{context}${node}.{name}: the nodes are {', '.join(nodes)}")
+    parameters = params(node)
     try:
-        return pick(flatten(own), name)  # what is derived takes longer to find
+        return pick(flatten(parameters), name)  # what is derived takes longer to find
     except KeyError:
         pass
-    values = known(own)
+    values = known(parameters)
     try:
         return pick(values, name)
     except KeyError:
-        raise ScenarioError(f"{where}${node}.{name}: {node} has {', '.join(values)}") from None
+        raise ScenarioError(f"{context}${node}.{name}: {node} has {', '.join(values)}") from None

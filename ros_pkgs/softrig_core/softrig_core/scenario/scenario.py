@@ -58,12 +58,12 @@ class NodeEntry(Entry):
 
     @model_validator(mode="before")
     @classmethod
-    def _by_its_new_name(cls, given: Any) -> Any:
-        if isinstance(given, Mapping):
-            package, executable = given.get("package"), given.get("executable")
+    def _by_its_new_name(cls, entry: Any) -> Any:
+        if isinstance(entry, Mapping):
+            package, executable = entry.get("package"), entry.get("executable")
             if isinstance(package, str) and isinstance(executable, str):
-                return {**given, "executable": renamed.report(package, executable)}
-        return given
+                return {**entry, "executable": renamed.report(package, executable)}
+        return entry
 
 
 class FigureEntry(Entry):
@@ -91,8 +91,8 @@ class FigureEntry(Entry):
     since: str = ""
 
 
-def _or_empty(given: Any) -> Any:
-    return {} if given is None else given
+def _or_empty(value: Any) -> Any:
+    return {} if value is None else value
 
 
 class Scenario(Entry):
@@ -177,8 +177,8 @@ class Scenario(Entry):
 
     def written(self, *keys: str) -> str:
         """Describe where one of its keys is written, as the end of a message; empty if that is not known."""
-        at = place(self.name, self._file, keys) if self._file else ""
-        return f" ({at})" if "line" in at else ""
+        location = place(self.name, self._file, keys) if self._file else ""
+        return f" ({location})" if "line" in location else ""
 
     @model_validator(mode="after")
     def _contained_once(self) -> Scenario:
@@ -308,8 +308,8 @@ class Draft:
             check_lengths(scenario.duration, scenario.shared, scenario.requirements, scenario.figures)
             return scenario.written_in(written_in)
         except ValidationError as error:
-            at = place(self.name, self.path, error.errors()[0]["loc"])
-            raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None
+            location = place(self.name, self.path, error.errors()[0]["loc"])
+            raise ScenarioError(f"{location}: {explain(error, Scenario)}") from None
         except ScenarioError as error:
             raise ScenarioError(f"{self.path.name}: {error}") from None
 
@@ -336,8 +336,8 @@ def _before(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
         node, _, parameter = key.partition(".")
         entry: Any = (raw.get("shared") or {}).get(node)
         for part, below in (("nodes", ("parameters",)), ("faults", ())):
-            if isinstance(there := (raw.get(part) or {}).get(node), Mapping):
-                entry = there
+            if isinstance(section := (raw.get(part) or {}).get(node), Mapping):
+                entry = section
                 for name in below:
                     entry = entry.get(name) or {}
         written = _at(entry, parameter) if parameter else entry

@@ -26,9 +26,9 @@ def scenario_folders() -> Iterator[Path]:
     """Return the folders of scenario files: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of installed
     packages.
     """
-    own = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
+    listed = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
     installed = (folder for prefix in prefixes() for folder in sorted(prefix.glob("share/*/scenarios")))
-    return (f for f in chain(own, installed) if f.is_dir())  # looked for as far as somebody asks
+    return (f for f in chain(listed, installed) if f.is_dir())  # looked for as far as somebody asks
 
 
 def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]:
@@ -92,7 +92,7 @@ def locate(name: str) -> tuple[str, Path]:
 
 def ends(name: str, known: Iterable[str]) -> str:
     """Suggest the scenarios whose names end with a name."""
-    result = [one for one in known if one.endswith(f"_{name}")][:3]
+    result = [candidate for candidate in known if candidate.endswith(f"_{name}")][:3]
     return f" (did you mean {' or '.join(map(repr, result))}?)" if result else ""
 
 
@@ -221,13 +221,13 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
         raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
     below = {k: v for k, v in base.items() if k not in OWN}
     change = _by_new_names(below.get("nodes"), change)
-    for part, what, lost in (
+    for part, key, lost in (
         ("nodes", "executable", ("parameters",)),
         ("figures", "function", ("arguments", "unit", "since")),
     ):
         old, new = below.get(part), change.get(part)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            below[part] = {k: _without(v, new.get(k), what, lost) for k, v in old.items()}
+            below[part] = {k: _without(v, new.get(k), key, lost) for k, v in old.items()}
     return merge(below, change)
 
 
@@ -246,9 +246,9 @@ def _by_new_names(below: Any, change: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**change, "nodes": results}
 
 
-def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:
-    """Remove the keys `lost` of an entry if the overriding entry has another `what`."""
-    if not isinstance(old, Mapping) or not isinstance(new, Mapping) or new.get(what, old.get(what)) == old.get(what):
+def _without(old: Any, new: Any, key: str, lost: tuple[str, ...]) -> Any:
+    """Remove the keys `lost` of an entry if the overriding entry has another `key`."""
+    if not isinstance(old, Mapping) or not isinstance(new, Mapping) or new.get(key, old.get(key)) == old.get(key):
         return old
     return {k: v for k, v in old.items() if k not in lost}
 

@@ -101,12 +101,12 @@ def _integer(loader: Any, node: Any) -> int:
 _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 
 
-def read_yaml(text: str, where: str, texts: bool = False) -> Any:
+def read_yaml(text: str, source: str, texts: bool = False) -> Any:
     """Read one YAML document.
 
     Parameters
     ----------
-    where : str
+    source : str
         What error messages call it, such as the file's name.
     texts : bool
         Whether all scalars are texts, for readers that have their own numbers.
@@ -117,16 +117,16 @@ def read_yaml(text: str, where: str, texts: bool = False) -> Any:
         Not YAML, a key twice, larger than `SIZE`, deeper than `DEPTH` or more than `NODES` values.
     """
     if len(text) > SIZE:
-        raise ScenarioError(f"{where}: {len(text)} characters, expected at most {SIZE}")
+        raise ScenarioError(f"{source}: {len(text)} characters, expected at most {SIZE}")
     try:
         return bounded(text, _Texts if texts else _Loader, NODES)
     except yaml.MarkedYAMLError as error:
         message = ", ".join(part for part in (error.context, error.problem) if part)
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark and "\n" in text else ""
-        raise ScenarioError(f"{where}: not valid YAML: {line}{message}"[:200]) from None
+        raise ScenarioError(f"{source}: not valid YAML: {line}{message}"[:200]) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())[:200]
-        raise ScenarioError(f"{where}: not valid YAML: {reason}") from None
+        raise ScenarioError(f"{source}: not valid YAML: {reason}") from None
 
 
 def bounded(text: str | bytes, kind: Any, most: int) -> Any:

@@ -69,16 +69,16 @@ class Figure:
     @cached_property
     def reads(self) -> list[str]:
         """Names of the signals that it reads, or patterns of them."""
-        given, reads = [a for a in self.arguments.values() if isinstance(a, str)], getattr(self.function, "reads", ())
+        texts, reads = [a for a in self.arguments.values() if isinstance(a, str)], getattr(self.function, "reads", ())
         # the machine is one of several drives in a rig, so its name is an argument, too
-        return [*given, *reads, *(f"{one}/{name}" for one in given for name in reads), *self.since.split(", ")]
+        return [*texts, *reads, *(f"{text}/{name}" for text in texts for name in reads), *self.since.split(", ")]
 
     def __call__(self, signals: SignalMap) -> float:
         """Measure the figure; raise an ImpossibleError if the result is outside the possible range."""
         # softrig's own functions use only operations that long arrays have; those of other packages may use any of
         # numpy.
-        ours = is_ours(self.function.__module__)
-        value = float(self.function(signals if ours else _Whole(signals), **self.at(signals).arguments))
+        is_own = is_ours(self.function.__module__)
+        value = float(self.function(signals if is_own else _Whole(signals), **self.at(signals).arguments))
         low, high = getattr(self.function, "possible", (-math.inf, math.inf))
         if value < low - ROUNDING * max(1.0, abs(low)) or value > high + ROUNDING * max(1.0, abs(high)):
             raise ImpossibleError(f"{value:.6g} is impossible, expected {low:g} to {high:g}")
@@ -92,22 +92,22 @@ class Figure:
         ValueError
             There was no step yet, or there is nothing to measure at it.
         """
-        given = dict(self.arguments)
-        if {str} & {type(given.get(name)) for name in STEP}:
-            final, initial = step_levels(signals, given.get("final"), given.get("initial", 0.0), given.get("start"))
-            given |= {"final": final, "initial": initial}
+        args = dict(self.arguments)
+        if {str} & {type(args.get(name)) for name in STEP}:
+            final, initial = step_levels(signals, args.get("final"), args.get("initial", 0.0), args.get("start"))
+            args |= {"final": final, "initial": initial}
         if not self.since:
-            return replace(self, arguments=given)
+            return replace(self, arguments=args)
         t, value = newest_step(signals, self.since)
-        values: dict[str, Any] = {"start": t + (given.get("start") or 0.0)}
-        if given.get("end") is not None:
-            values["end"] = t + given["end"]
-        if given.get("reference") in self.since.split(", "):
+        values: dict[str, Any] = {"start": t + (args.get("start") or 0.0)}
+        if args.get("end") is not None:
+            values["end"] = t + args["end"]
+        if args.get("reference") in self.since.split(", "):
             # Since that step the reference has had one value.
-            values["reference"] = newest_step(signals, given["reference"])[1]
-        if "final" in _model(self.function)[0].model_fields and given.get("final") is None:
-            values |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
-        return replace(self, arguments=given | values, since="")
+            values["reference"] = newest_step(signals, args["reference"])[1]
+        if "final" in _model(self.function)[0].model_fields and args.get("final") is None:
+            values |= {"final": value, "initial": final_value(signals, args["signal"], end=t)}
+        return replace(self, arguments=args | values, since="")
 
 
 class _Whole(Mapping[str, Signal]):
@@ -144,8 +144,8 @@ def figures_of(rig: Members) -> list[Figure]:
         try:
             result.append(_figure(name, entry, units, agreed, rig))
         except ScenarioError as error:
-            at = rig.scenario.written("figures", name)
-            raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
+            location = rig.scenario.written("figures", name)
+            raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{location}") from None
     required = judges(rig, units, {figure.name: figure for figure in result})
     result += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in required.items()]
     return result
@@ -168,8 +168,8 @@ def _figure(
     declared = {quantity: agreed[quantity] for quantity in wanted.values() if quantity in agreed}
 
     def make(rig: Members) -> Figure:
-        given = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
-        arguments = _arguments(function, agreeing(agreed, given, wanted))
+        filled = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
+        arguments = _arguments(function, agreeing(agreed, filled, wanted))
         _check_since(function, arguments, units, entry.since)
         _check_signals(function, arguments, units)
         return Figure(name, function, arguments, *_unit(function, arguments, units, entry.unit), entry.since)
@@ -191,12 +191,12 @@ def _unit(
     if declared is None:
         return wanted or "", 1.0
     signal = units.get(str(arguments.get("signal")), "")
-    given = compose(declared, signal)
+    unit = compose(declared, signal)
     if wanted is None or (declared == "{signal}" and not signal):  # a port that does not know its unit
-        return wanted or given, 1.0
-    scale = factor(given, wanted)
+        return wanted or unit, 1.0
+    scale = factor(unit, wanted)
     if scale is None:
-        raise ScenarioError(f"unit {wanted!r}, but {function.__name__} gives {given or 'a pure number'!r}")
+        raise ScenarioError(f"unit {wanted!r}, but {function.__name__} gives {unit or 'a pure number'!r}")
     return wanted, scale
 
 
@@ -277,8 +277,8 @@ def evaluate(
         impossible = False
         try:
             if isinstance(figure.function, Judge):
-                value, at, violated, bounds, open_from = figure.function.margin(signals)
-                about |= {"at_s": at, "violated_s": violated}
+                value, t, violated, bounds, open_from = figure.function.margin(signals)
+                about |= {"at_s": t, "violated_s": violated}
                 about |= {"open_from_s": open_from} if math.isfinite(open_from) else {}
             else:
                 value = figure(signals)
@@ -337,13 +337,13 @@ def _model(function: Function) -> tuple[type[BaseModel], bool]:
     return create_model(function.__name__, __base__=Entry, **fields), len(fields) == len(parameters)
 
 
-def _arguments(function: Function, given: Mapping[str, Any]) -> dict[str, Any]:
+def _arguments(function: Function, values: Mapping[str, Any]) -> dict[str, Any]:
     model, closed = _model(function)
     # A function with ``**keywords`` takes arguments of any name, so there is nothing to check them against.
     if not closed:
-        return dict(given)
+        return dict(values)
     try:
-        checked = model.model_validate(given)
+        checked = model.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(map(str, first["loc"]))
@@ -360,10 +360,10 @@ def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapp
     for name in (*named.values(), *getattr(function, "reads", ())):
         if not _called(name, units):
             raise ScenarioError(f"no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
-    own, *others = [(k, units[arguments[k]]) for k in SIGNALS if isinstance(arguments.get(k), str)] or [("", "")]
-    for name, unit in others:
-        if powers(own[1]) != powers(unit):
-            raise ScenarioError(f"signal in {own[1]!r}, but its {name} in {unit!r}")
+    first, *further = [(k, units[arguments[k]]) for k in SIGNALS if isinstance(arguments.get(k), str)] or [("", "")]
+    for name, unit in further:
+        if powers(first[1]) != powers(unit):
+            raise ScenarioError(f"signal in {first[1]!r}, but its {name} in {unit!r}")
 
 
 def _check_since(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], since: str) -> None:
@@ -377,8 +377,8 @@ def _check_since(function: Function, arguments: Mapping[str, Any], units: Mappin
     if "start" not in takes:
         raise ScenarioError(f"since: {function.__name__} has no start, since it covers a whole run")
     if "final" in takes and arguments.get("final") is None:
-        unit, own = units[names[0]], units.get(arguments["signal"], units[names[0]])
-        if names[1:] or "initial" in arguments or powers(unit) != powers(own):
-            why = "initial" if "initial" in arguments else f"a signal in {own!r} and a reference in {unit!r}"
+        unit, signal_unit = units[names[0]], units.get(arguments["signal"], units[names[0]])
+        if names[1:] or "initial" in arguments or powers(unit) != powers(signal_unit):
+            why = "initial" if "initial" in arguments else f"a signal in {signal_unit!r} and a reference in {unit!r}"
             why = "several signals" if names[1:] else why
             raise ScenarioError(f"since: with {why} the final value must be given, too")

@@ -106,11 +106,11 @@ def _finding(
 ) -> Finding:
     figure = claim.figure or key
     value = _value(figure, name, figures)
-    others = {kind: _value(r, name, figures) for kind, r in claim.compared().items()}
+    references = {kind: _value(r, name, figures) for kind, r in claim.compared().items()}
     holds: bool | None = True
     if claim.verdict != "not_checkable":
-        known = value is not None and all(x is not None for x in others.values())
-        sure = {kind: x for kind, x in others.items() if x is not None}
+        known = value is not None and all(x is not None for x in references.values())
+        sure = {kind: x for kind, x in references.items() if x is not None}
         holds = claim.holds(claim.agrees(value, sure)) if known and value is not None else None
     # The key of a claim that cannot be checked need not be the name of a figure; then there is nothing to show.
     speaks = claim.verdict != "not_checkable" or bool(claim.figure)
@@ -124,18 +124,18 @@ def _finding(
         published=claim.published,
         measured=value if value is not None and math.isfinite(value) else None,
         measured_text=("?" if value is None else readable(value)) if speaks else "",
-        asked=claim.asks(others),
+        asked=claim.asks(references),
         verdict=claim.verdict,
         reason=claim.reason,
         holds=holds,
     )
 
 
-def _value(reference: float | str, own: str, figures: Callable[[str], Figures | None]) -> float | None:
+def _value(reference: float | str, default: str, figures: Callable[[str], Figures | None]) -> float | None:
     if not isinstance(reference, str):
         return reference
     scenario, _, figure = reference.rpartition(".")
-    result = figures(scenario or own)
+    result = figures(scenario or default)
     return None if result is None else result.get(figure)
 
 
@@ -154,8 +154,8 @@ def needed(scenario: Scenario) -> set[str]:
     names = {scenario.name}
     for key, claim in scenario.claims.items():
         for reference in (claim.figure, *claim.references()):
-            other = reference.rpartition(".")[0]
-            if other and other not in names and other not in list_scenarios():
-                raise ScenarioError(f"{scenario.name}: claim {key}: scenario {other!r} is unknown")
-            names |= {other} if other else set()
+            name = reference.rpartition(".")[0]
+            if name and name not in names and name not in list_scenarios():
+                raise ScenarioError(f"{scenario.name}: claim {key}: scenario {name!r} is unknown")
+            names |= {name} if name else set()
     return names

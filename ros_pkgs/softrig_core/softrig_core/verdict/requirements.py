@@ -135,14 +135,14 @@ class Judge:
         if known is not None and ended and (result := self._quickly(known, signals, results)) is not None:
             return result
         grid = _grid(self.clock, ticks)
-        held: dict[str, Any] = {**self.numbers}
+        samples: dict[str, Any] = {**self.numbers}
         truths, late = {}, dict[str, NDArray[np.bool_]]()
         tree = self.tree
         if self.again is not None:
             tree = self.again({name: _measured(name, figure, signals) for name, figure in self.timed.items()})
         for name in variables(tree):
             if name in self.figures:
-                held[name] = np.broadcast_to(_measured(name, self.figures[name], signals), len(grid))
+                samples[name] = np.broadcast_to(_measured(name, self.figures[name], signals), len(grid))
                 continue
             condition = self.conditions.get(name)
             times, values = results[condition.signal if condition else name]
@@ -150,20 +150,20 @@ class Judge:
             if condition:
                 truths[name] = truth(condition, now, np.concatenate((now[:1], now[:-1])))
             else:
-                held[name] = now
+                samples[name] = now
                 if none is not None:
                     late[name] = none
         after = self.clock.next(int(grid[-1]))
         # With measured times the formula is another one, which has no instructions.
         native = self.native if tree is self.tree else None
-        record = Record(grid, held, truths=truths, late=late, after=after, ended=ended)
+        record = Record(grid, samples, truths=truths, late=late, after=after, ended=ended)
         plain = native is not None and ended and not (self.figures or truths or late or is_long(grid))
         if native is not None and plain and (window := record.window(tree)) is not None:
             at = {name: _arrived(_whole_ns(results[name][0]), grid)[0] for name in native.names}
             if len(self.ready) >= READY:
                 self.ready.clear()
             # The times are stored too: while they live, no other array can have their identity.
-            self.ready[key] = _Ready(all_times, grid, at, native.constants(held), window)
+            self.ready[key] = _Ready(all_times, grid, at, native.constants(samples), window)
         return record.margin(tree, native)
 
     def _quickly(self, known: _Ready, signals: SignalMap, results: Mapping[str, tuple[Array, Array]]) -> Margin | None:
@@ -213,13 +213,13 @@ def _whole_ns(times: Array) -> Array:
 
 def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np.bool_] | None]:
     """Return for each tick the newest value that has arrived, 0 before the first, and its index."""
-    at, before = _arrived(times, grid)
+    indices, before = _arrived(times, grid)
     if before is None:
-        return gathered(values, at), None
+        return gathered(values, indices), None
     if not len(values):
         return np.broadcast_to(0.0, len(grid)), before
     # The 0 is not compared with anything, because comparisons with a late signal are false.
-    return np.where(before, 0.0, gathered(values, np.maximum(at, 0))), before
+    return np.where(before, 0.0, gathered(values, np.maximum(indices, 0))), before
 
 
 @once_for_times
@@ -227,9 +227,9 @@ def _arrived(times: Array, grid: Array) -> tuple[Places, NDArray[np.bool_] | Non
     """Return the index of the newest of some times at each tick, and the ticks before the first one."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
         return slice(0, len(grid)), None
-    at = newest(times, grid)
-    before = at < 0
-    return (at, before) if before.any() else (places(at), None)
+    indices = newest(times, grid)
+    before = indices < 0
+    return (indices, before) if before.any() else (places(indices), None)
 
 
 def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
@@ -324,8 +324,8 @@ def _named(
             rig, objects, rig.clock.params.period, lambda rig: _judge(rig, requirement, *names, units, figures)
         )
     except ScenarioError as error:
-        at = rig.scenario.written("requirements", name)
-        raise ScenarioError(f"{rig.scenario.name}: requirement {name}: {error}{at}") from None
+        location = rig.scenario.written("requirements", name)
+        raise ScenarioError(f"{rig.scenario.name}: requirement {name}: {error}{location}") from None
 
 
 def _of_nodes(rig: Members, requirement: Requirement) -> dict[str, float]:
@@ -350,12 +350,12 @@ def _judge(
     figures: Mapping[str, Measured],
 ) -> Judge:
     formula = with_names(requirement.formula)
-    own = {name: figure for name, figure in figures.items() if name not in signals and name not in numbers}
-    known: dict[str, float | None] = {**dict.fromkeys(own), **_of_nodes(rig, requirement), **numbers}
+    usable = {name: figure for name, figure in figures.items() if name not in signals and name not in numbers}
+    known: dict[str, float | None] = {**dict.fromkeys(usable), **_of_nodes(rig, requirement), **numbers}
     known |= dict.fromkeys(signals)
-    timed = {name: own[name] for name in timing(formula) if name in own}
+    timed = {name: usable[name] for name in timing(formula) if name in usable}
     if strange := [name for name, figure in timed.items() if figure.unit != "s"]:
-        raise ScenarioError(f"{strange[0]} in an interval is in {own[strange[0]].unit!r}, expected s")
+        raise ScenarioError(f"{strange[0]} in an interval is in {usable[strange[0]].unit!r}, expected s")
     # Times that figures give are known only after the run; 0 stands for them until then (`Judge.again`).
     known |= dict.fromkeys(timed, 0.0)
     result = outline(formula, known)
@@ -368,15 +368,15 @@ def _judge(
                 f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
                 f"[{low / SECOND:g}, {high / SECOND:g}] s"
             )
-    measured = {name: own[name] for name in used if name in own and name not in timed}
-    if lost := [name for name, condition in conditions.items() if condition.signal in own and name in used]:
+    measured = {name: usable[name] for name in used if name in usable and name not in timed}
+    if lost := [name for name, condition in conditions.items() if condition.signal in usable and name in used]:
         raise ScenarioError(f"{conditions[lost[0]].signal} is a figure, a number of the whole run: compare it")
     compared = {
-        name: own[name].unit if name in own else units[signals[name]] for name in used if name not in conditions
+        name: usable[name].unit if name in usable else units[signals[name]] for name in used if name not in conditions
     }
     scaled = tuple(compared.items()), tuple(requirement.scale.items())
     tree, unit, native = _scaled(result, *scaled)
-    read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used} if n not in own}
+    read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used} if n not in usable}
     ticker = _ticker(rig)
     read_too = [signal for figure in (*measured.values(), *timed.values()) for signal in figure.reads]
     return Judge(

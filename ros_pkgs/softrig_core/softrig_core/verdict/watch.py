@@ -86,9 +86,9 @@ class Kept(NamedTuple):
 
     def _joined(self, size: int, *place: Any) -> NDArray[Any]:
         """Return one number of all messages; block by block, because a window may have hundreds of MB."""
-        kind, what, *at = _rows(size), *place
-        parts = [np.frombuffer(block, kind)[what] for block in (*self.blocks, self.filling, self.newest)]
-        return np.concatenate([part[:, at[0]] if at else part for part in parts])
+        kind, field, *column = _rows(size), *place
+        parts = [np.frombuffer(block, kind)[field] for block in (*self.blocks, self.filling, self.newest)]
+        return np.concatenate([part[:, column[0]] if column else part for part in parts])
 
     @property
     def forgot(self) -> bool:
@@ -149,11 +149,11 @@ def packed(messages: Messages) -> bytes:
 
 def _since(blocks: tuple[bytes, ...], stamp: int, size: int) -> tuple[bytes, ...]:
     """Return the blocks with messages at or after a stamp; a message has `size` bytes."""
-    gone = 0
+    count = 0
     # The last block contains the newest message, which is in the window, so the loop ends.
-    while STAMP.unpack_from(blocks[gone], len(blocks[gone]) - size)[0] < stamp:
-        gone += 1
-    return blocks[gone:]
+    while STAMP.unpack_from(blocks[count], len(blocks[count]) - size)[0] < stamp:
+        count += 1
+    return blocks[count:]
 
 
 class Window(NamedTuple):
@@ -190,19 +190,19 @@ class Watch(Observer[W]):
         """Store new messages."""
         return Window(self.keep(x.seen, t, inputs)), {}
 
-    def keep(self, seen: tuple[Kept, ...], t: int, inputs: Mapping[str, Any]) -> tuple[Kept, ...]:
+    def keep(self, stored: tuple[Kept, ...], t: int, inputs: Mapping[str, Any]) -> tuple[Kept, ...]:
         """Return the stored messages with the new ones in the inputs of a tick."""
         # `ages` is what `age` calls; it saves one call for each input and tick.
         reach, age, results = self._reach, self.ages or self.age, []
-        for (name, row), kept in zip(self._rows.items(), seen, strict=True):
+        for (name, row), topic in zip(self._rows.items(), stored, strict=True):
             values = inputs.get(name)
-            results.append(kept if values is None else kept.with_message(row, t - (age(name) or 0), values, t, reach))
+            results.append(topic if values is None else topic.with_message(row, t - (age(name) or 0), values, t, reach))
         return tuple(results)
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
         """See `softrig_core.block.gathering.Batched`."""
-        seen = zip(self._ports, x.seen, strict=True)
-        return Window(tuple(kept.with_messages(messages.get(name, ()), t, self._reach) for name, kept in seen))
+        stored = zip(self._ports, x.seen, strict=True)
+        return Window(tuple(topic.with_messages(messages.get(name, ()), t, self._reach) for name, topic in stored))
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
         """Create a figure, in the unit of its function and its signal."""
@@ -282,9 +282,9 @@ def left_behind(since: str, signals: Recent, forgot: Container[str]) -> bool:
 class Seen(Recent):
     """The stored messages of a `Watch`, as signals for figure functions."""
 
-    def __init__(self, ports: Mapping[str, Port], seen: Mapping[str, Kept]) -> None:
+    def __init__(self, ports: Mapping[str, Port], stored: Mapping[str, Kept]) -> None:
         super().__init__(ports.values())
-        self._kept = {port.topic: seen[name] for name, port in ports.items()}
+        self._kept = {port.topic: stored[name] for name, port in ports.items()}
         self._times: dict[str, Any] = {}
 
     @property

@@ -106,7 +106,7 @@ class Layout:
         # what makes an equal layout
         self.form = (msgtype, frame_id, tuple(names), dict(counts), tuple(dims), numbered)
         self.numbered = numbered
-        out = Writer()
+        writer = Writer()
         slots: list[tuple[int, str]] = []
         self.stamp_offset: int | None = None
         number_offset = -1
@@ -115,44 +115,44 @@ class Layout:
         def numbers(name: str, n: int, code: str = "d") -> None:
             self.fields.append((name, n))
             if n:
-                slots.append((out.room(code, n), f"{n}{code}"))
+                slots.append((writer.room(code, n), f"{n}{code}"))
 
         for kind, name, size in TYPES[msgtype].schema:
             if kind == "stamp":
-                self.stamp_offset = out.room("I", 2)
+                self.stamp_offset = writer.room("I", 2)
             elif kind == "frame":
-                out.text(frame_id)
+                writer.text(frame_id)
             elif kind == "names":
-                out.add("I", len(names))
+                writer.add("I", len(names))
                 for text in names:
-                    out.text(text)
+                    writer.text(text)
             elif kind == "one":
-                out.add("I", 1)
+                writer.add("I", 1)
             elif kind == "sequence":
-                out.add("I", counts.get(name, 0))
+                writer.add("I", counts.get(name, 0))
                 numbers(name, counts.get(name, 0))
             elif kind == "numbers":
                 numbers(name, size)
             elif kind == "dims":
-                out.add("I", len(dims))
+                writer.add("I", len(dims))
                 for i, (label, extent) in enumerate(dims):
                     if numbered and i == 0:
-                        number_offset = out.text(label + NUMBER, DIGITS)
+                        number_offset = writer.text(label + NUMBER, DIGITS)
                     else:
-                        out.text(label)
-                    out.add("I", extent, math.prod(size for _, size in dims[i:]))  # with the stride
-                out.add("I", 0)  # the offset of the data
+                        writer.text(label)
+                    writer.add("I", extent, math.prod(size for _, size in dims[i:]))  # with the stride
+                writer.add("I", 0)  # the offset of the data
             elif kind == "flag":
                 numbers(name, 1, "?")
             elif kind == "duration":
-                out.room("I", 2)
+                writer.room("I", 2)
 
         self.msgtype = msgtype
-        self.length = len(out.data)
+        self.length = len(writer.data)
         self.size = sum(n for _, n in self.fields)
         self.slots = slots
         # Of the encapsulation only the first two bytes are compared, which have the byte order; the rest are options.
-        self._fixed = [(a, b, bytes(out.data[a:b])) for a, b in [(0, 2), *_merge(out.written)]]
+        self._fixed = [(a, b, bytes(writer.data[a:b])) for a, b in [(0, 2), *_merge(writer.written)]]
         # One struct for the whole message. Its items in wire order are those of (s, ns, *values, *constants);
         # of an array the first one is the text of its number.
         spans = [(a, f"{b - a}s") for a, b, _ in self._fixed]
@@ -160,19 +160,19 @@ class Layout:
         if numbered:
             stamp = [(number_offset, f"{DIGITS}s")]
         self._number_offset = number_offset
-        form, at, wire = "<", 0, []
+        form, position, wire = "<", 0, []
         values, constants = count(2), count(2 + self.size)
         for offset, code in sorted(spans + stamp + slots):
-            form += f"{offset - at}x{code}"
-            at = offset + struct.calcsize("<" + code)
+            form += f"{offset - position}x{code}"
+            position = offset + struct.calcsize("<" + code)
             if offset == number_offset:
                 wire.append(0)
             elif code[-1] == "s":
                 wire.append(next(constants))
             else:
                 wire += [0, 1] if code == "iI" else islice(values, int(code[:-1]))
-        whole = struct.Struct(f"{form}{self.length - at}x")
-        self.encode, self.decode = _coders(whole, wire, self.size, [data for _, _, data in self._fixed], numbered)
+        message = struct.Struct(f"{form}{self.length - position}x")
+        self.encode, self.decode = _coders(message, wire, self.size, [data for _, _, data in self._fixed], numbered)
 
     def __reduce__(self) -> tuple[type[Layout], tuple[Any, ...]]:
         """Pickle the data from which it was made, because its functions are generated."""
@@ -189,18 +189,18 @@ class Layout:
         """
         rows = np.tile(np.frombuffer(self.encode(0, (0.0,) * self.size), dtype=np.uint8), (len(stamps), 1))
         if self.stamp_offset is not None:
-            at = self.stamp_offset
+            start = self.stamp_offset
             parts = np.column_stack((stamps // SECOND, stamps % SECOND)).astype("<u4")
-            rows[:, at : at + 8] = parts.view(np.uint8)
+            rows[:, start : start + 8] = parts.view(np.uint8)
         if self.numbered:
-            at = self._number_offset
+            start = self._number_offset
             text = b"".join(map(_digits, stamps.tolist()))
-            rows[:, at : at + DIGITS] = np.frombuffer(text, dtype=np.uint8).reshape(-1, DIGITS)
+            rows[:, start : start + DIGITS] = np.frombuffer(text, dtype=np.uint8).reshape(-1, DIGITS)
         first = 0
         for offset, code in self.slots:
             n = int(code[:-1])
-            part = np.ascontiguousarray(values[:, first : first + n])
-            raw = part.astype("<f8").view(np.uint8) if code[-1] == "d" else (part != 0.0).astype(np.uint8)
+            block = np.ascontiguousarray(values[:, first : first + n])
+            raw = block.astype("<f8").view(np.uint8) if code[-1] == "d" else (block != 0.0).astype(np.uint8)
             rows[:, offset : offset + raw.shape[1]] = raw
             first += n
         return rows
@@ -239,7 +239,7 @@ SINGLY = 32
 
 
 def _coders(
-    whole: struct.Struct, wire: Sequence[int], size: int, constants: Sequence[bytes], numbered: bool
+    message: struct.Struct, wire: Sequence[int], size: int, constants: Sequence[bytes], numbered: bool
 ) -> tuple[Any, Any]:
     """Create the functions that write and read messages of a layout: their text names each item of its struct.
 
@@ -249,30 +249,30 @@ def _coders(
         The items: 0 and 1 the stamp in s and ns, or 0 the digits of a number; then `size` values, then the constants.
     """
     known: dict[str, Any] = {f"constant{k}": data for k, data in enumerate(constants)}
-    places = {item: k for k, item in enumerate(wire)}
-    at = [places[2 + k] for k in range(size)]
+    index_of = {item: k for k, item in enumerate(wire)}
+    indices = [index_of[2 + k] for k in range(size)]
     written = {0: "stamp // SECOND", 1: "stamp % SECOND"} if not numbered else {0: "digits(stamp)"}
     written |= {2 + size + k: name for k, name in enumerate(known)}
     values = []
-    for first, last in _runs(at) if size > SINGLY else [(k, k + 1) for k in range(size)]:
-        one = last == first + 1
-        written[2 + first] = f"values[{first}]" if one else f"*values[{first}:{last}]"
-        values.append(f"found[{at[first]}]" if one else f"*found[{at[first]}:{at[last - 1] + 1}]")
+    for first, last in _runs(indices) if size > SINGLY else [(k, k + 1) for k in range(size)]:
+        single = last == first + 1
+        written[2 + first] = f"values[{first}]" if single else f"*values[{first}:{last}]"
+        values.append(f"found[{indices[first]}]" if single else f"*found[{indices[first]}:{indices[last - 1] + 1}]")
     items = [written[item] for item in wire if item in written]
     mark = "-1"
-    if 0 in places:
-        mark = f"found[{places[0]}] * SECOND + found[{places[1]}]" if not numbered else f"int(found[{places[0]}])"
-    differs = [f"found[{places[2 + size + k]}] != {name}" for k, name in enumerate(known)]
+    if 0 in index_of:
+        mark = f"found[{index_of[0]}] * SECOND + found[{index_of[1]}]" if not numbered else f"int(found[{index_of[0]}])"
+    differs = [f"found[{index_of[2 + size + k]}] != {name}" for k, name in enumerate(known)]
     text = CODERS.format(
         size=size,
-        length=whole.size,
+        length=message.size,
         items=", ".join(items),
         # `int` would also read blanks, signs and underscores, so the digits are checked by themselves.
-        differs=" or ".join(differs + ([f"not found[{places[0]}].isdigit()"] if numbered else [])),
+        differs=" or ".join(differs + ([f"not found[{index_of[0]}].isdigit()"] if numbered else [])),
         mark=mark,
         values=f"({''.join(f'{value}, ' for value in values)})",
     )
-    known |= {"pack": whole.pack, "unpack": whole.unpack, "digits": _digits, "SECOND": SECOND}
+    known |= {"pack": message.pack, "unpack": message.unpack, "digits": _digits, "SECOND": SECOND}
     exec(_compiled(text), known)
     return known["encode"], known["decode"]
 
@@ -283,18 +283,18 @@ def _compiled(text: str) -> CodeType:
     return compile(text, "<layout>", "exec")
 
 
-def _runs(places: Sequence[int]) -> list[tuple[int, int]]:
+def _runs(indices: Sequence[int]) -> list[tuple[int, int]]:
     """Return the spans, first and after the last, in which each place follows the one before."""
-    starts = [k for k in range(len(places)) if k == 0 or places[k] != places[k - 1] + 1]
-    return list(zip(starts, [*starts[1:], len(places)], strict=True))
+    starts = [k for k in range(len(indices)) if k == 0 or indices[k] != indices[k - 1] + 1]
+    return list(zip(starts, [*starts[1:], len(indices)], strict=True))
 
 
-def getter(places: Sequence[int]) -> Picker:
+def getter(indices: Sequence[int]) -> Picker:
     """Return an itemgetter that always returns a tuple (of a tuple)."""
-    if len(places) > 1:
-        return itemgetter(*places)
-    start = places[0] if places else 0
-    return itemgetter(slice(start, start + len(places)))
+    if len(indices) > 1:
+        return itemgetter(*indices)
+    start = indices[0] if indices else 0
+    return itemgetter(slice(start, start + len(indices)))
 
 
 def _digits(number: int) -> bytes:

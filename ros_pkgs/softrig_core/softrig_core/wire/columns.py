@@ -25,9 +25,9 @@ _spacious: WeakValueDictionary[int, NDArray[np.float64]] = WeakValueDictionary()
 def spacious(count: int, size: int) -> NDArray[np.float64]:
     """Return an array of shape (count, size), column after column in memory, with free rows at both ends."""
     # An array has no attributes of its own, so `of_node` recognises this memory by the id of the array that owns it.
-    whole = np.empty((size, count + 2 * SPARE))
-    _spacious[id(whole)] = whole
-    return whole[:, SPARE : count + SPARE].T
+    room = np.empty((size, count + 2 * SPARE))
+    _spacious[id(room)] = room
+    return room[:, SPARE : count + SPARE].T
 
 
 class Columns(NamedTuple):
@@ -46,14 +46,14 @@ class Columns(NamedTuple):
         cls, times: NDArray[np.int64], values: NDArray[np.float64], layouts: Iterable[Layout]
     ) -> Iterator[Columns]:
         """Yield the messages on each output of a node from the numbers of all, shape (n, size of all)."""
-        whole = _spacious.get(id(values.base))
-        if whole is not None and whole.shape != (values.shape[1], len(values) + 2 * SPARE):
+        room = _spacious.get(id(values.base))
+        if room is not None and room.shape != (values.shape[1], len(values) + 2 * SPARE):
             # Only a part of the answers is given, and the rows next to it belong to other messages.
-            whole = None
+            room = None
         first = 0
         for layout in layouts:
             last = first + layout.size
-            yield cls(times, values[:, first:last], layout, None if whole is None else whole[first:last])
+            yield cls(times, values[:, first:last], layout, None if room is None else room[first:last])
             first = last
 
     @property
@@ -77,13 +77,13 @@ class Columns(NamedTuple):
         sizes = [sum(map(len, parts)) for parts in (before, after)]
         if self.whole is None or max(sizes) > SPARE:
             return None
-        at = first = SPARE - sizes[0]
+        offset = first = SPARE - sizes[0]
         for parts in (before, after):
             for part in parts:
-                self.whole[k, at : at + len(part)] = part
-                at += len(part)
-            at = SPARE + len(self.times)
-        return self.whole[k, first : at + sizes[1]]
+                self.whole[k, offset : offset + len(part)] = part
+                offset += len(part)
+            offset = SPARE + len(self.times)
+        return self.whole[k, first : offset + sizes[1]]
 
     def encoded(self, count: int) -> NDArray[np.uint8]:
         """Return the bytes of the messages, a row each; `count` is the number of earlier messages of the topic."""
@@ -118,12 +118,12 @@ class Rows:
         Where rows follow each other without a gap: the first byte, and how many rows there are.
     """
 
-    def __init__(self, path: Path, width: int, places: list[tuple[int, int]]) -> None:
+    def __init__(self, path: Path, width: int, stretches: list[tuple[int, int]]) -> None:
         self._file = path.open("rb", buffering=0)
         self._kind = row_type(width)
-        self._places = places
-        self._ends = list(accumulate(count for _, count in places))
-        self.number = self._ends[-1] if places else 0
+        self._places = stretches
+        self._ends = list(accumulate(count for _, count in stretches))
+        self.number = self._ends[-1] if stretches else 0
         self._even: tuple[int, int] | None = None
         self._checked = False
         self._last: tuple[int, int, NDArray[Any]] | None = None
@@ -140,19 +140,19 @@ class Rows:
         if self._last is not None and self._last[:2] == (first, last):
             return self._last[2]
         result = np.empty(max(0, min(last, self.number) - first), self._kind)
-        content, size, at = memoryview(result.view(np.uint8)), self._kind.itemsize, 0
-        for (place, count), end in zip(self._places, self._ends, strict=True):
-            if first + at < end and at < len(result):
-                skip = first + at - (end - count)
-                n = min(count - skip, len(result) - at)
-                begin = place + skip * size
-                part = content[at * size : (at + n) * size]
+        content, size, done = memoryview(result.view(np.uint8)), self._kind.itemsize, 0
+        for (start, count), end in zip(self._places, self._ends, strict=True):
+            if first + done < end and done < len(result):
+                skip = first + done - (end - count)
+                n = min(count - skip, len(result) - done)
+                begin = start + skip * size
+                part = content[done * size : (done + n) * size]
                 # A read may return less than was asked for, so it goes on where the last one ended.
                 while part:
                     if not (got := os.preadv(self._file.fileno(), [part], begin)):
-                        raise OSError(f"{self._file.name} ends before row {first + at + n}")
+                        raise OSError(f"{self._file.name} ends before row {first + done + n}")
                     part, begin = part[got:], begin + got
-                at += n
+                done += n
         result.flags.writeable = False
         # A longer result would keep a large part of the file in memory.
         if len(result) <= READ:
@@ -177,8 +177,8 @@ class Rows:
         if len(start) < 2:
             return None
         first, step = start[0], start[1] - start[0]
-        for where, block in self.blocks():
-            if (block["t"] != first + step * np.arange(where.start, where.stop)).any():
+        for rows, block in self.blocks():
+            if (block["t"] != first + step * np.arange(rows.start, rows.stop)).any():
                 return None
         return first, step
 

@@ -88,56 +88,56 @@ class LongArray(NDArrayOperatorsMixin):
         if any(k is Ellipsis for k in lead) or len(lead) == self.ndim:
             *front, last = lead
             lead = tuple(k for k in front if k is not Ellipsis)
-        at = (*lead, Ellipsis)
+        lead_key = (*lead, Ellipsis)
         if isinstance(last, slice) and last.step in (None, 1):
             first, end, _ = last.indices(self._length)
-            return LongArray(max(0, end - first), lambda a, b: self.read(first + a, first + b)[at])
+            return LongArray(max(0, end - first), lambda a, b: self.read(first + a, first + b)[lead_key])
         if isinstance(last, int | np.integer):
-            place = int(last) + (self._length if last < 0 else 0)
-            if not 0 <= place < self._length:
+            index = int(last) + (self._length if last < 0 else 0)
+            if not 0 <= index < self._length:
                 raise IndexError(f"index {last} is out of bounds for size {self._length}")
-            return self.read(place, place + 1)[at][..., 0]
+            return self.read(index, index + 1)[lead_key][..., 0]
         if isinstance(last, LongArray) and last.dtype.kind != "b":
-            return LongArray(len(last), lambda a, b: self._gathered(last.read(a, b))[at])
+            return LongArray(len(last), lambda a, b: self._gathered(last.read(a, b))[lead_key])
         if isinstance(last, LongArray | np.ndarray) and last.dtype.kind == "b":
-            parts = [x[at][..., np.asarray(last[k : k + STRETCH])] for k, x in self.stretches()]
+            parts = [x[lead_key][..., np.asarray(last[k : k + STRETCH])] for k, x in self.stretches()]
             return np.concatenate(parts, axis=-1)
         if isinstance(last, np.ndarray):
-            return self._gathered(last)[at]
+            return self._gathered(last)[lead_key]
         return np.asarray(self)[key]
 
-    def _gathered(self, places: NDArray[np.intp]) -> NDArray[Any]:
+    def _gathered(self, indices: NDArray[np.intp]) -> NDArray[Any]:
         """Return the numbers at some places."""
-        places = np.where(places < 0, places + self._length, places)
-        low, end = int(np.min(places, initial=0)), int(np.max(places, initial=-1)) + 1
+        indices = np.where(indices < 0, indices + self._length, indices)
+        low, end = int(np.min(indices, initial=0)), int(np.max(indices, initial=-1)) + 1
         if low < 0 or end > self._length:
             raise IndexError(f"indices from {low} to {end - 1} are out of bounds for size {self._length}")
-        low = int(np.min(places, initial=end))
-        result = np.empty((*self.shape[:-1], places.size), self.dtype)
+        low = int(np.min(indices, initial=end))
+        result = np.empty((*self.shape[:-1], indices.size), self.dtype)
         for first in range(low, end, STRETCH):
             last = min(first + STRETCH, end)
-            here = (first <= places) & (places < last)
-            if here.any():
-                result[..., here] = self.read(first, last)[..., places[here] - first]
+            chosen = (first <= indices) & (indices < last)
+            if chosen.any():
+                result[..., chosen] = self.read(first, last)[..., indices[chosen] - first]
         return result
 
-    def __array_ufunc__(self, function: np.ufunc, method: str, *given: Any, **options: Any) -> Any:
+    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if options.get("out") == (self,):
             # Nothing is written in place: `x += 1` binds the returned result to x.
             del options["out"]
         if method == "__call__" and "out" not in options:
-            return _apply(lambda *parts: function(*parts, **options), *given)
+            return _apply(lambda *parts: function(*parts, **options), *inputs)
         last = options.get("axis", 0) in (-1, self.ndim - 1)
         if method == "reduce" and last and not options.keys() - {"axis", "keepdims", "initial"}:
-            return _reduced(function, given[0], **options)
-        return getattr(function, method)(*map(_whole, given), **{k: _whole(v) for k, v in options.items()})
+            return _reduced(function, inputs[0], **options)
+        return getattr(function, method)(*map(_whole, inputs), **{k: _whole(v) for k, v in options.items()})
 
-    def __array_function__(self, function: Any, types: Any, given: Any, options: Any) -> Any:
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         known = _FUNCTIONS.get(function)
-        result = NotImplemented if known is None else known(*given, **options)
+        result = NotImplemented if known is None else known(*arguments, **options)
         if result is not NotImplemented:
             return result
-        return function(*map(_whole, given), **{k: _whole(v) for k, v in options.items()})
+        return function(*map(_whole, arguments), **{k: _whole(v) for k, v in options.items()})
 
     @property
     def real(self) -> LongArray:
@@ -190,8 +190,8 @@ def elementwise(function: _F) -> _F:
     """Let a function that works on each place of the last axis separately accept long arrays, too."""
 
     @wraps(function)
-    def call(*given: Any) -> Any:
-        return _apply(function, *given) if any(isinstance(x, LongArray) for x in given) else function(*given)
+    def call(*args: Any) -> Any:
+        return _apply(function, *args) if any(isinstance(x, LongArray) for x in args) else function(*args)
 
     return cast(_F, call)
 
@@ -201,11 +201,11 @@ def is_long(x: Any) -> bool:
     return isinstance(x, LongArray)
 
 
-def gathered(values: Any, places: Any) -> Any:
+def gathered(values: Any, indices: Any) -> Any:
     """Return the values at some places; a long array of places gives a long array."""
-    if isinstance(places, LongArray) and not isinstance(values, LongArray):
-        return LongArray(len(places), lambda a, b: values[places.read(a, b)])
-    return values[places]
+    if isinstance(indices, LongArray) and not isinstance(values, LongArray):
+        return LongArray(len(indices), lambda a, b: values[indices.read(a, b)])
+    return values[indices]
 
 
 def stretches(x: Any) -> Iterator[NDArray[Any]]:
@@ -233,22 +233,22 @@ def _whole(x: Any) -> Any:
     return np.asarray(x) if isinstance(x, LongArray) else x
 
 
-def _apply(function: Callable[..., Any], *given: Any) -> LongArray:
+def _apply(function: Callable[..., Any], *arrays: Any) -> LongArray:
     """Apply a function that works on each place separately."""
-    size = next(x.shape[-1] for x in given if isinstance(x, LongArray))
+    size = next(x.shape[-1] for x in arrays if isinstance(x, LongArray))
 
     def part(x: Any, first: int, last: int) -> Any:
         if isinstance(x, LongArray):
             return x.read(first, last)
         return x[..., first:last] if np.ndim(x) and x.shape[-1] == size else x
 
-    if any(np.ndim(x) and x.shape[-1] not in (1, size) for x in given):
-        raise ValueError(f"arrays of {', '.join(str(np.shape(x)) for x in given)} do not fit together")
+    if any(np.ndim(x) and x.shape[-1] not in (1, size) for x in arrays):
+        raise ValueError(f"arrays of {', '.join(str(np.shape(x)) for x in arrays)} do not fit together")
 
     def read(first: int, last: int) -> NDArray[Any]:
         # The numbers are computed when they are read, and by then the caller may have left its own `np.errstate`.
         with np.errstate(all="ignore"):
-            return np.asarray(function(*(part(x, first, last) for x in given)))
+            return np.asarray(function(*(part(x, first, last) for x in arrays)))
 
     return LongArray(size, read)
 
@@ -276,10 +276,10 @@ def _sum(x: LongArray, first: int, last: int) -> Any:
 def _place(x: LongArray, extreme: Callable[..., Any]) -> int:
     best: tuple[int, Any] | None = None
     for first, part in x.stretches():
-        at = int(extreme(part))
+        index = int(extreme(part))
         # Equal numbers: the first counts, as in numpy; so does the first that is not a number.
-        if best is None or extreme(np.array([best[1], part[at]])) == 1:
-            best = first + at, part[at]
+        if best is None or extreme(np.array([best[1], part[index]])) == 1:
+            best = first + index, part[index]
     if best is None:
         raise ValueError("attempt to get an extreme of an empty array")
     return best[0]
@@ -305,25 +305,25 @@ def _append(x: Any, values: Any) -> Any:
 
 def _diff(x: Any, prepend: Any = None, append: Any = None) -> Any:
     ends = [np.array([a]) for a in (prepend,) if a is not None], [np.array([a]) for a in (append,) if a is not None]
-    whole = _joined([*ends[0], x, *ends[1]]) if any(ends) else x
-    return LongArray(max(0, len(whole) - 1), lambda a, b: np.diff(whole.read(a, b + 1 if b > a else b)))
+    joined = _joined([*ends[0], x, *ends[1]]) if any(ends) else x
+    return LongArray(max(0, len(joined) - 1), lambda a, b: np.diff(joined.read(a, b + 1 if b > a else b)))
 
 
-def _search(times: Any, at: Any, side: Any = "left") -> Any:
-    if isinstance(at, LongArray):
-        return LongArray(len(at), lambda a, b: _search(times, at.read(a, b), side))
+def _search(times: Any, instants: Any, side: Any = "left") -> Any:
+    if isinstance(instants, LongArray):
+        return LongArray(len(instants), lambda a, b: _search(times, instants.read(a, b), side))
     if not isinstance(times, LongArray):
-        return np.searchsorted(times, at, side)
-    if np.ndim(at) and not np.size(at):
+        return np.searchsorted(times, instants, side)
+    if np.ndim(instants) and not np.size(instants):
         return np.empty(0, np.intp)
     # Only the stretches are read in which the answers are.
-    first = max(int(np.searchsorted(times.begins, np.min(at), "left")) - 1, 0) * STRETCH
-    last = min(int(np.searchsorted(times.begins, np.max(at), "right")) * STRETCH, len(times))
+    first = max(int(np.searchsorted(times.begins, np.min(instants), "left")) - 1, 0) * STRETCH
+    last = min(int(np.searchsorted(times.begins, np.max(instants), "right")) * STRETCH, len(times))
     # Instants far apart would read everything between them, so each half of them is searched by itself.
-    if last - first > 2 * STRETCH and np.size(at) > 1:
-        half = np.size(at) // 2
-        return np.concatenate([_search(times, at[:half], side), _search(times, at[half:], side)])
-    return first + np.searchsorted(times.read(first, last), at, side)
+    if last - first > 2 * STRETCH and np.size(instants) > 1:
+        half = np.size(instants) // 2
+        return np.concatenate([_search(times, instants[:half], side), _search(times, instants[half:], side)])
+    return first + np.searchsorted(times.read(first, last), instants, side)
 
 
 def _flatnonzero(x: LongArray) -> NDArray[np.intp]:

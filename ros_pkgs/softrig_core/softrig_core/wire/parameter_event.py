@@ -35,18 +35,18 @@ def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
     values : mapping
         Value by name: numbers, texts, flags or lists of one of these; None: not set.
     """
-    out = Writer()
-    out.add("I", t // SECOND, t % SECOND)
-    out.text(node)
-    out.add("I", 0, len(values))  # none is new
+    writer = Writer()
+    writer.add("I", t // SECOND, t % SECOND)
+    writer.text(node)
+    writer.add("I", 0, len(values))  # none is new
     for name, value in values.items():
-        out.text(name)
-        _write(out, value)
-    out.add("I", 0)  # nor deleted
-    return bytes(out.data)
+        writer.text(name)
+        _write(writer, value)
+    writer.add("I", 0)  # nor deleted
+    return bytes(writer.data)
 
 
-def _write(out: Writer, value: Any) -> None:
+def _write(writer: Writer, value: Any) -> None:
     # Types are looked up exactly below, because a bool is an int as well.
     several = list(value) if isinstance(value, list | tuple) else []
     kind = 0
@@ -54,19 +54,19 @@ def _write(out: Writer, value: Any) -> None:
         kind = _KINDS[type(several[0])][1] if several else _DOUBLES
     elif value is not None:
         kind = _KINDS[type(value)][0]
-    out.add("B", kind)
-    for one, code in _ONE.items():
-        out.add(code, value if kind == one else 0)
-    out.text(value if kind == _STRING else "")
-    out.add("I", 0)  # bytes
+    writer.add("B", kind)
+    for known, code in _ONE.items():
+        writer.add(code, value if kind == known else 0)
+    writer.text(value if kind == _STRING else "")
+    writer.add("I", 0)  # bytes
     for many, code in _MANY:
         result = several if kind == many else []
-        out.add("I", len(result))
-        out.add(code, *result)
+        writer.add("I", len(result))
+        writer.add(code, *result)
     result = several if kind == _STRINGS else []
-    out.add("I", len(result))
+    writer.add("I", len(result))
     for text in result:
-        out.text(text)
+        writer.text(text)
 
 
 def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:

@@ -228,8 +228,8 @@ class Topic:
 
     def ticks(self) -> NDArray[np.int64]:
         """Return the times as an array."""
-        whole = self.columns()
-        return np.array(self.times, np.int64) if whole is None else whole.times
+        columns = self.columns()
+        return np.array(self.times, np.int64) if columns is None else columns.times
 
     def newest(self) -> int | None:
         """Return the time of its last message, ns; None without one."""
@@ -241,10 +241,10 @@ class Topic:
 
     def before(self, t: int) -> Topic:
         """Return its messages that are earlier than t, ns."""
-        result, whole = Topic(self.name, self.msgtype), self.columns()
-        if whole is not None:
-            n = int(np.searchsorted(whole.times, t))
-            result._columns = [whole.part(0, n)] if n else []
+        result, columns = Topic(self.name, self.msgtype), self.columns()
+        if columns is not None:
+            n = int(np.searchsorted(columns.times, t))
+            result._columns = [columns.part(0, n)] if n else []
         else:
             n = bisect_left(self.times, t)
             result._times, result._data = self.times[:n], self.data[:n]
@@ -263,19 +263,19 @@ class Topic:
 
     def texts(self) -> Iterator[bytes]:
         """Yield the bytes of all messages one after the other, those of many at a time."""
-        whole = self.columns()
+        table = self.columns()
         for first in range(0, self.number, CHUNK):
             last = first + CHUNK
-            yield b"".join(self.data[first:last]) if whole is None else whole.part(first, last).encoded(first).tobytes()
+            yield b"".join(self.data[first:last]) if table is None else table.part(first, last).encoded(first).tobytes()
 
     def stream(self) -> Iterator[tuple[int, bytes]]:
         """Yield time and bytes of each message; messages that are stored as numbers are not kept as bytes."""
-        whole = self.columns()
-        if whole is None:
+        columns = self.columns()
+        if columns is None:
             yield from zip(self.times, self.data, strict=True)
             return
-        for first in range(0, whole.number, CHUNK):
-            part = whole.part(first, first + CHUNK)
+        for first in range(0, columns.number, CHUNK):
+            part = columns.part(first, first + CHUNK)
             yield from zip(part.times.tolist(), part.messages(first), strict=True)
 
 
@@ -400,33 +400,33 @@ class Recording:
         """
         size = path.stat().st_size
         with path.open("rb", buffering=0) as file:
-            head, at = _read_head(memoryview(file.read(_HEAD)))
+            head, offset = _read_head(memoryview(file.read(_HEAD)))
             if head is None:
                 return size
-            file.seek(at)
+            file.seek(offset)
             if size <= HELD:
-                return size - at - self.add_part(head, memoryview(file.readall()), namespace)
-            places, length = list[tuple[int, int]](), _LOOK
+                return size - offset - self.add_part(head, memoryview(file.readall()), namespace)
+            spans, length = list[tuple[int, int]](), _LOOK
             # Rows stay in the file; only their places and what is not a row are kept in memory.
             while content := file.read(length):
-                used = self.add_part(head, memoryview(content), namespace, partial(_note_rows, places, at))
+                used = self.add_part(head, memoryview(content), namespace, partial(_note_rows, spans, offset))
                 # A message may be longer than what was read.
                 length = _LOOK if used else 2 * length
-                if not used and at + len(content) == size:
+                if not used and offset + len(content) == size:
                     break
-                at += used
-                file.seek(at)
-        self._store(path, head, places, namespace)
-        return size - at
+                offset += used
+                file.seek(offset)
+        self._store(path, head, spans, namespace)
+        return size - offset
 
-    def _store(self, path: Path, head: Mapping[str, Any], places: list[tuple[int, int]], namespace: str) -> None:
-        """Add the messages of rows that stay in a shard; `places` has the first byte and the length of each stretch of
+    def _store(self, path: Path, head: Mapping[str, Any], spans: list[tuple[int, int]], namespace: str) -> None:
+        """Add the messages of rows that stay in a shard; `spans` has the first byte and the length of each stretch of
         rows.
         """
         layouts = [(head["topics"][number][0], Layout(*form)) for number, form in head["row"]]
         width = sum(layout.size for _, layout in layouts)
         length = row_type(width).itemsize
-        rows, first = Rows(path, width, [(at, size // length) for at, size in places]), 0
+        rows, first = Rows(path, width, [(start, size // length) for start, size in spans]), 0
         for name, layout in layouts:
             if rows.number:
                 self.topics[name.removeprefix(namespace)].add_columns(Stored(rows, first, layout))
@@ -459,33 +459,33 @@ class Recording:
         """
         topics = [self.topics[name.removeprefix(namespace)] for name, _ in head["topics"] if name != EVENTS]
         row = [(topics[number], Layout(*form)) for number, form in head["row"]]
-        at, size = 0, _RECORD.size
-        while at + _ROW_HEAD.size <= len(content):
-            if _ROW_HEAD.unpack_from(content, at)[1] == _ROW:
-                block = _rows_in(content[at:], sum(layout.size for _, layout in row))
+        offset, size = 0, _RECORD.size
+        while offset + _ROW_HEAD.size <= len(content):
+            if _ROW_HEAD.unpack_from(content, offset)[1] == _ROW:
+                block = _rows_in(content[offset:], sum(layout.size for _, layout in row))
                 used = block.nbytes
                 if callback is None:
                     _add_rows(block, row)
                 elif used:
-                    callback(at, used)
-                at += used
+                    callback(offset, used)
+                offset += used
                 if not used:
                     break
                 continue
-            if at + size > len(content):
+            if offset + size > len(content):
                 break
-            t, topic, length = _RECORD.unpack_from(content, at)
+            t, topic, length = _RECORD.unpack_from(content, offset)
             # The last record may be cut off by a crash.
-            if at + size + length > len(content):
+            if offset + size + length > len(content):
                 break
-            data = bytes(content[at + size : at + size + length])
+            data = bytes(content[offset + size : offset + size + length])
             if topic == len(topics):
                 self.note(t, data)
             else:
                 topics[topic].times.append(t)
                 topics[topic].data.append(data)
-            at += size + length
-        return at
+            offset += size + length
+        return offset
 
 
 class ShardTail:
@@ -536,8 +536,8 @@ def _rows_in(content: memoryview, width: int) -> NDArray[np.uint8]:
     length = row_type(width).itemsize
     block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
     # These two bytes of a row are its mark; anything else there begins a record of another kind.
-    other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
-    return block[: other[0]] if other.size else block
+    odd = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
+    return block[: odd[0]] if odd.size else block
 
 
 def _add_rows(block: NDArray[np.uint8], row: Sequence[tuple[Topic | None, Layout]]) -> None:
@@ -552,12 +552,12 @@ def _add_rows(block: NDArray[np.uint8], row: Sequence[tuple[Topic | None, Layout
         first += layout.size
 
 
-def _note_rows(places: list[tuple[int, int]], start: int, at: int, size: int) -> None:
+def _note_rows(spans: list[tuple[int, int]], start: int, offset: int, size: int) -> None:
     """Store the place of rows in a file, joined with the rows directly before them."""
-    if places and sum(places[-1]) == start + at:
-        places[-1] = places[-1][0], places[-1][1] + size
+    if spans and sum(spans[-1]) == start + offset:
+        spans[-1] = spans[-1][0], spans[-1][1] + size
     else:
-        places.append((start + at, size))
+        spans.append((start + offset, size))
 
 
 class _Clock:

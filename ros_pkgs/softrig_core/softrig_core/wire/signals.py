@@ -160,9 +160,9 @@ class Signals(Mapping[str, Signal]):
         if isinstance(table.columns, _InParts):
             return table._replace(columns=table.columns.renamed(own_name))
         for label, x in table.columns.items():
-            own = own_name(label)
+            name = own_name(label)
             # Messages with the one name lack the column of the other, so both are merged.
-            columns[own] = np.where(np.isnan(columns[own]), x, columns[own]) if own in columns else x
+            columns[name] = np.where(np.isnan(columns[name]), x, columns[name]) if name in columns else x
         return table._replace(columns=columns)
 
     def _table(self, topic: str) -> Table:
@@ -273,8 +273,8 @@ def _as_carried(x: Array, flag: bool) -> Array:
 def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> Array:
     if layout.stamp_offset is None:
         return t
-    at = layout.stamp_offset
-    parts = np.ascontiguousarray(block[:, at : at + 8]).view("<u4").astype(np.int64)
+    offset = layout.stamp_offset
+    parts = np.ascontiguousarray(block[:, offset : offset + 8]).view("<u4").astype(np.int64)
     return (parts[:, 0] * SECOND + parts[:, 1] - epoch) / SECOND
 
 

@@ -30,25 +30,25 @@ class Writer:
         size = struct.calcsize(code)
         if n:
             self.data += bytes(-(len(self.data) - 4) % size)
-        at = len(self.data)
+        offset = len(self.data)
         self.data += bytes(n * size)
-        return at
+        return offset
 
     def add(self, code: str, *values: Any) -> None:
         """Write values of a struct's code."""
         pad = -(len(self.data) - 4) % struct.calcsize(code) if values else 0
-        at = len(self.data) + pad
+        offset = len(self.data) + pad
         self.data += struct.pack(f"<{pad}x{len(values)}{code}", *values)
-        self.written.append((at, len(self.data)))
+        self.written.append((offset, len(self.data)))
 
     def text(self, text: str, room: int = 0) -> int:
         """Write a string with space for more characters at its end; return the position of that space."""
         raw = text.encode()
         self.add("I", len(raw) + room + 1)
-        at = len(self.data) + len(raw)
-        self.written += [(at - len(raw), at), (at + room, at + room + 1)]
+        offset = len(self.data) + len(raw)
+        self.written += [(offset - len(raw), offset), (offset + room, offset + room + 1)]
         self.data += raw + bytes(room + 1)
-        return at
+        return offset
 
 
 class Reader:
@@ -78,17 +78,17 @@ class Reader:
         if not n:
             return ()
         size = struct.calcsize(code)
-        at = self._at + -(self._at - 4) % size
-        if at + n * size > len(self._data):
-            raise CdrError(f"{self._type}: {len(self._data)} bytes end inside a field at byte {at}")
-        self._at = at + n * size
-        return struct.unpack_from(f"{self._order}{n}{code}", self._data, at)
+        offset = self._at + -(self._at - 4) % size
+        if offset + n * size > len(self._data):
+            raise CdrError(f"{self._type}: {len(self._data)} bytes end inside a field at byte {offset}")
+        self._at = offset + n * size
+        return struct.unpack_from(f"{self._order}{n}{code}", self._data, offset)
 
     def one(self, code: str) -> Any:
         """Read one value of a struct's code."""
         return self.read(code)[0]
 
-    def count(self, what: str, size: int) -> int:
+    def count(self, items: str, size: int) -> int:
         """Read the number of following items, of at least so many bytes each.
 
         Raises
@@ -99,7 +99,7 @@ class Reader:
         n: int = self.one("I")
         # A damaged count could ask for gigabytes; no message has more items than bytes.
         if n * size > len(self._data):
-            raise CdrError(f"{self._type}: claims {n} {what} in {len(self._data)} bytes")
+            raise CdrError(f"{self._type}: claims {n} {items} in {len(self._data)} bytes")
         return n
 
     def text(self) -> str:

@@ -83,24 +83,24 @@ def once_for_times(function: _F) -> _F:
     """
 
     @wraps(function)
-    def call(*given: Any) -> Any:
+    def call(*arguments: Any) -> Any:
         kept, key = _room(), list[Any]([function])
-        if any(map(is_long, given)):
-            return function(*given)
-        for value in given:
+        if any(map(is_long, arguments)):
+            return function(*arguments)
+        for value in arguments:
             if isinstance(value, np.ndarray):
                 owner = value if value.base is None else value.base
                 if kept.arrays.get(id(owner)) is not owner or not value.flags.c_contiguous:
-                    return function(*given)
+                    return function(*arguments)
                 # The place of a part takes longer to find than all else here.
                 key += (id(owner), owner is value or value.__array_interface__["data"][0], value.size)
             else:
                 key.append(value)
-        found = tuple(key)
-        if found not in kept.results:
-            result = function(*given)
+        entry = tuple(key)
+        if entry not in kept.results:
+            result = function(*arguments)
             kept.keep(result if isinstance(result, tuple) else (result,))
-            kept.results[found] = result
-        return kept.results[found]
+            kept.results[entry] = result
+        return kept.results[entry]
 
     return cast(_F, call)
