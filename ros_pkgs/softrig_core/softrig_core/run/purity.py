@@ -102,9 +102,9 @@ def check_same(rig: Rig, before: Recording, after: Recording) -> None:
                 break
     if not differences:
         raise Impure(f"{rig.scenario.name}: a second run of the same parameters and seed publishes other messages")
-    time, _, name, a, b, node = min(differences)
+    t0, _, name, a, b, node = min(differences)
     error = Impure(
-        f"{node or rig.scenario.name}: {name} = {a} at t = {time:.9g} s, and {b} in a second run of the same parameters "
+        f"{node or rig.scenario.name}: {name} = {a} at t = {t0:.9g} s, and {b} in a second run of the same parameters "
         f"and seed; {ADVICE}"
     )
     error.node = node
