@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from io import BytesIO
-from itertools import pairwise
-from pathlib import Path
+from typing import Any
 
-from PIL import Image, ImageDraw, ImageFont
+import numpy as np
+from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.colors import to_rgb
+from matplotlib.font_manager import FontProperties, findfont
+from matplotlib.path import Path
+from matplotlib.transforms import Affine2D
+from PIL import Image
 from softrig_core import ScenarioError
-from softrig_core.drawing.shapes import PALETTE, Circle, Line, Point, Polygon, Shape, Text
+from softrig_core.drawing.shapes import PALETTE, Circle, Line, Polygon, Shape, Text
 
 from .film import FRAMES, Film
 
-FINER = 2  # times as many pixels as are kept: smooth edges
 LARGEST = 2_000_000  # bytes of a GIF: larger ones are not shown, or not at once, where GIFs are used
 REDUCED = ((64, 1), (32, 1), (32, 2), (16, 3))  # colours, and one of so many frames, until it is small enough
-_ANCHORS = {"start": "ls", "middle": "ms", "end": "rs"}
+FONT = findfont("DejaVu Sans")
+SHARES = {"start": 0.0, "middle": 0.5, "end": 1.0}  # of a text, before its point
 
 
 def pixels(film: Film, form: str) -> tuple[bytes, str]:
@@ -59,65 +64,36 @@ def _written(images: Sequence[Image.Image], form: str, every: int) -> bytes:
     return file.getvalue()
 
 
-def picture(shapes: list[Shape], bounds: tuple[float, float, float, float]) -> Image.Image:
-    """Draw one frame on light ground."""
+def picture(shapes: Sequence[Shape], bounds: tuple[float, float, float, float]) -> Image.Image:
+    """Draw one frame on light ground, by matplotlib's renderer: it has round corners, dashes and smooth edges."""
     left, top, width, height = bounds
-    image = Image.new("RGB", (round(width) * FINER, round(height) * FINER), _colour("paper"))
-    draw = ImageDraw.Draw(image)
-
-    def at(point: Point) -> Point:
-        return (point[0] - left) * FINER, (point[1] - top) * FINER
-
+    # At 72 dpi a point of type is a unit of the drawing.
+    renderer: Any = RendererAgg(round(width), round(height), 72)  # type: ignore[no-untyped-call]
+    place = Affine2D().translate(-left, -top - height).scale(1.0, -1.0)
+    gc = renderer.new_gc()
+    gc.set_joinstyle("round")
+    gc.set_linewidth(0.0)
+    renderer.draw_path(gc, Path.unit_rectangle(), Affine2D().scale(width, height), to_rgb(PALETTE["paper"][0]))
     for shape in shapes:
-        colour = _colour(shape.role)
+        if isinstance(shape, Circle) and not shape.radius:
+            continue  # an SVG shows no edge of it either
+        gc.set_foreground(to_rgb(PALETTE[shape.role][0]))
         if isinstance(shape, Text):
-            draw.text(at(shape.at), shape.text, colour, _font(shape.size * FINER), _ANCHORS[shape.anchor])
+            font = FontProperties(size=shape.size, fname=FONT)
+            wide = renderer.get_text_width_height_descent(shape.text, font, False)[0]
+            x, y = place.transform(shape.at)
+            renderer.draw_text(gc, x - SHARES[shape.anchor] * wide, height - y, shape.text, font, 0.0)
             continue
-        width_px = max(1, round(shape.width * FINER)) if shape.width else 0
+        dashed = isinstance(shape, Line) and shape.dashed
+        gc.set_linewidth(max(1.0, shape.width) if shape.width else 0.0)
+        gc.set_dashes(0.0, (5.0, 4.0) if dashed else None)
+        gc.set_capstyle("butt" if dashed else "round")
+        fill = "" if isinstance(shape, Line) else shape.fill
         if isinstance(shape, Circle):
-            x, y = at(shape.centre)
-            r = shape.radius * FINER
-            if r > 0:
-                fill = _colour(shape.fill) if shape.fill else None
-                draw.ellipse((x - r, y - r, x + r, y + r), fill, colour if width_px else None, width_px)
-            continue
-        corners = [at(p) for p in shape.points]
-        if isinstance(shape, Polygon):
-            if shape.fill:
-                draw.polygon(corners, _colour(shape.fill))
-            corners.append(corners[0])
-        if not width_px:
-            continue
-        for a, b in _dashes(corners) if isinstance(shape, Line) and shape.dashed else pairwise(corners):
-            draw.line((a, b), colour, width_px)
-        r = width_px / 2
-        if width_px > 2 and not (isinstance(shape, Line) and shape.dashed):  # round corners and ends
-            for x, y in corners:
-                draw.ellipse((x - r, y - r, x + r, y + r), colour)
-    return image.resize((round(width), round(height)), Image.Resampling.LANCZOS)
-
-
-def _dashes(corners: list[Point]) -> list[tuple[Point, Point]]:
-    """Cut a line into dashes of 5 units with gaps of 4."""
-    result, walked = [], 0.0
-    for a, b in pairwise(corners):
-        length = ((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) ** 0.5
-        d = 0.0
-        while d < length:
-            phase = walked % (9.0 * FINER)
-            step = min((5.0 if phase < 5.0 * FINER else 9.0) * FINER - phase, length - d)
-            if phase < 5.0 * FINER:
-                ends = [(a[0] + (b[0] - a[0]) * s / length, a[1] + (b[1] - a[1]) * s / length) for s in (d, d + step)]
-                result.append((ends[0], ends[1]))
-            d, walked = d + max(step, 1e-6), walked + max(step, 1e-6)
-    return result
-
-
-def _colour(role: str) -> str:
-    return PALETTE[role][0]
-
-
-def _font(size: float) -> ImageFont.FreeTypeFont:
-    import matplotlib
-
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
+            path = Path.circle(shape.centre, shape.radius)
+        elif isinstance(shape, Polygon):
+            path = Path([*shape.points, shape.points[0]], closed=True)
+        else:
+            path = Path(shape.points)
+        renderer.draw_path(gc, path, place, to_rgb(PALETTE[fill][0]) if fill else None)
+    return Image.fromarray(np.asarray(renderer.buffer_rgba())).convert("RGB")
