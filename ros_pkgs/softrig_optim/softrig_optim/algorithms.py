@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, assert_never
+from typing import Any, Literal, assert_never
 
 import numpy as np
 from softrig_core import Params, param
@@ -13,7 +13,7 @@ from .genetic import Genetic
 from .perturb import PerturbObserve
 from .pso import ParticleSwarm
 from .scan import Scan
-from .search import Options, PopulationOptions, Search
+from .search import Search
 
 Algorithm = Literal["pso", "de_rand1", "de_best1", "ga", "perturb_observe", "scan"]
 
@@ -30,10 +30,10 @@ class AlgorithmParams(Params):
     budget: int | None = param(None, "most evaluations; the algorithm's own number when absent", ge=1, le=1000000)
 
 
-def populated(p: AlgorithmParams, *, maximise: bool) -> PopulationOptions:
+def populated(p: AlgorithmParams, *, maximise: bool) -> dict[str, Any]:
     """Return the settings of a search with a population."""
-    options: PopulationOptions = {"maximise": maximise, "budget": p.budget, "n_pop": p.n_pop}
-    return options if p.n_iter is None else {**options, "n_iter": p.n_iter}
+    iterations = {} if p.n_iter is None else {"n_iter": p.n_iter}
+    return {"maximise": maximise, "budget": p.budget, "n_pop": p.n_pop, **iterations}
 
 
 def make(
@@ -52,7 +52,7 @@ def make(
     ValueError
         A setting that the algorithm cannot work with; the text names it.
     """
-    options: Options = {"maximise": maximise, "budget": p.budget}
+    options: dict[str, Any] = {"maximise": maximise, "budget": p.budget}
     grown = populated(p, maximise=maximise)
     match algorithm:
         case "pso":

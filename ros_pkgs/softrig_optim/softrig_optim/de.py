@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal, Unpack
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from .search import Moves, Population, PopulationOptions, Seed, points
+from .search import Moves, Population, points
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class DifferentialEvolution(Population):
     r"""Differential evolution (DE), rand/1/bin or best/1/bin.
 
@@ -34,22 +35,12 @@ class DifferentialEvolution(Population):
     [1] J. Farzaneh, A. Karsaz, 2020 (table II). R. Storn, K. Price, Differential evolution, 1997.
     """
 
-    SMALLEST = 4
+    variant: Literal["rand1", "best1"] = "rand1"
+    f_min: float = 0.2
+    f_max: float = 0.8
+    cr: float = 0.3
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        variant: Literal["rand1", "best1"] = "rand1",
-        f_min: float = 0.2,
-        f_max: float = 0.8,
-        cr: float = 0.3,
-        **options: Unpack[PopulationOptions],
-    ) -> None:
-        self.variant, self.f_min, self.f_max, self.cr = variant, f_min, f_max, cr
-        super().__init__(lower, upper, seed, **options)
+    SMALLEST = 4
 
     def moves(self) -> Moves:  # noqa: D102
         n, rng = self.lower.size, self.rng

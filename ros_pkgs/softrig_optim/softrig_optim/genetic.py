@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
 import numpy as np
+from softrig_core import Array
 
-from .search import Array, Moves, Population, PopulationOptions, Seed, points
+from .search import Moves, Population, Seed, points
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Genetic(Population):
     """Genetic algorithm (GA): tournaments of two, blend crossover, Gaussian mutation, the best survive.
 
@@ -30,26 +31,18 @@ class Genetic(Population):
     L. J. Eshelman, J. D. Schaffer, Real-coded genetic algorithms and interval schemata, 1993 (BLX-alpha).
     """
 
-    SMALLEST = 2
-    N_POP = 20
+    n_pop: int = 20
+    blend: float = 0.5
+    mutation: float = 0.1
+    step: float = 0.1
+    elite: int = 1
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        blend: float = 0.5,
-        mutation: float = 0.1,
-        step: float = 0.1,
-        elite: int = 1,
-        **options: Unpack[PopulationOptions],
-    ) -> None:
-        n_pop = options.get("n_pop", self.N_POP)
-        if not 1 <= elite < n_pop:
-            raise ValueError(f"elite is {elite}, expected at least 1 and less than n_pop = {n_pop}")
-        self.blend, self.mutation, self.step, self.elite = blend, mutation, step, elite
-        super().__init__(lower, upper, seed, **options)
+    SMALLEST = 2
+
+    def __post_init__(self, seed: Seed) -> None:
+        if not 1 <= self.elite < self.n_pop:
+            raise ValueError(f"elite is {self.elite}, expected at least 1 and less than n_pop = {self.n_pop}")
+        super().__post_init__(seed)
 
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections.abc import Generator, Sequence
-from typing import Protocol, Unpack
+from dataclasses import dataclass
+from typing import Protocol
 
-from .search import Moves, Options, Point, Search
+from .search import Moves, Point, Search, Seed
 
 Corrections = Generator[Sequence[Point], list[float], None]
 
@@ -27,6 +28,7 @@ class Matching(Protocol):
         """Return the command under which this load makes the source see `resistance` ohm."""
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class LoadLineSearch(Search):
     """Base of the searches along a source's characteristic: the load estimate and the final corrections.
 
@@ -42,25 +44,18 @@ class LoadLineSearch(Search):
         Those of `Search`; always maximises.
     """
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int = 0,
-        *,
-        matching: Matching,
-        corrections: int,
-        **options: Unpack[Options],
-    ) -> None:
-        if len(lower) != 1:
-            raise ValueError(f"a search along the load line has one command, got bounds of {len(lower)}")
-        self.matching, self.corrections = matching, corrections
+    matching: Matching
+    corrections: int
+
+    def __post_init__(self, seed: Seed) -> None:
+        if len(self.lower) != 1:
+            raise ValueError(f"a search along the load line has one command, got bounds of {len(self.lower)}")
         self._load = math.nan
         self._final: float | None = None
         self.peak = (0.0, 0.0)
         # The value is a power, so a caller cannot ask for its minimum.
-        options["maximise"] = True
-        super().__init__(lower, upper, seed, **options)
+        self.maximise = True
+        super().__post_init__(seed)
 
     @property
     def result(self) -> Point:
@@ -107,6 +102,7 @@ class LoadLineSearch(Search):
         self._final = self.command(v, i)
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class CertifiedSearch(LoadLineSearch):
     r"""Search that ends with a proof: nothing between the outermost samples exceeds (1 + eps) times the best.
 
@@ -129,24 +125,17 @@ class CertifiedSearch(LoadLineSearch):
         Those of `LoadLineSearch`.
     """
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int = 0,
-        *,
-        matching: Matching,
-        eps: float = 0.01,
-        n_iter: int = 60,
-        transients: bool = False,
-        corrections: int = 3,
-        **options: Unpack[Options],
-    ) -> None:
-        self.eps, self.n_iter, self.watches = eps, n_iter, transients
+    eps: float = 0.01
+    n_iter: int = 60
+    transients: bool = False
+    corrections: int = 3
+
+    def __post_init__(self, seed: Seed) -> None:
+        self.watches = self.transients
         self._points: list[tuple[float, float]] = []
         # Before both ends were measured, a bound between the outermost samples covers only a part of the range.
         self._spanned = False
-        super().__init__(lower, upper, seed, matching=matching, corrections=corrections, **options)
+        super().__post_init__(seed)
 
     @property
     def bound(self) -> float | None:
@@ -202,6 +191,7 @@ class CertifiedSearch(LoadLineSearch):
         yield from self.correct()
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class RampScan(LoadLineSearch):
     """Sweep of the command from bound to bound without waiting for steady state, then approach to the best point.
 
@@ -213,21 +203,13 @@ class RampScan(LoadLineSearch):
         Those of `LoadLineSearch`.
     """
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int = 0,
-        *,
-        matching: Matching,
-        n_ramp: int = 120,
-        corrections: int = 4,
-        **options: Unpack[Options],
-    ) -> None:
-        if n_ramp < 2:
-            raise ValueError(f"n_ramp is {n_ramp}, expected at least 2")
-        self.n_ramp = n_ramp
-        super().__init__(lower, upper, seed, matching=matching, corrections=corrections, **options)
+    n_ramp: int = 120
+    corrections: int = 4
+
+    def __post_init__(self, seed: Seed) -> None:
+        if self.n_ramp < 2:
+            raise ValueError(f"n_ramp is {self.n_ramp}, expected at least 2")
+        super().__post_init__(seed)
 
     def moves(self) -> Moves:  # noqa: D102
         low, high = float(self.lower[0]), float(self.upper[0])

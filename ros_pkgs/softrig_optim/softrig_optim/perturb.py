@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
-from .search import Moves, Options, Search, Seed
+from .search import Moves, Search, Seed
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class PerturbObserve(Search):
     """Perturb and observe (P&O): step on while the value does not get worse, turn round when it does; never ends.
 
@@ -25,29 +25,22 @@ class PerturbObserve(Search):
     J. Farzaneh, A. Karsaz, 2020, section III.A.
     """
 
+    step: float = 0.005
+    initial: float | None = None
+
     remembers = False
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        step: float = 0.005,
-        initial: float | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        if len(lower) != 1:
-            raise ValueError(f"perturb and observe has one variable, got bounds of {len(lower)}")
-        self.step = step
-        self.initial = lower[0] if initial is None else initial
-        if not lower[0] <= self.initial <= upper[0]:
-            raise ValueError(f"initial is {self.initial}, expected it within [{lower[0]}, {upper[0]}]")
-        super().__init__(lower, upper, seed, **options)
+    def __post_init__(self, seed: Seed) -> None:
+        if len(self.lower) != 1:
+            raise ValueError(f"perturb and observe has one variable, got bounds of {len(self.lower)}")
+        self.start = self.lower[0] if self.initial is None else self.initial
+        if not self.lower[0] <= self.start <= self.upper[0]:
+            raise ValueError(f"initial is {self.start}, expected it within [{self.lower[0]}, {self.upper[0]}]")
+        super().__post_init__(seed)
 
     def moves(self) -> Moves:  # noqa: D102
         low, high = float(self.lower[0]), float(self.upper[0])
-        x, step = self.initial, self.step
+        x, step = self.start, self.step
         (cost,) = yield [(x,)]
         while True:
             # A step beyond a bound turns before it is made: clipped to the bound, it could evaluate the same point

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
 import numpy as np
 
-from .search import Moves, Population, PopulationOptions, Seed, points
+from .search import Moves, Population, points
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class ParticleSwarm(Population):
     r"""Particle swarm optimisation (PSO) with inertia weight.
 
@@ -32,19 +32,9 @@ class ParticleSwarm(Population):
     [1] J. Farzaneh, A. Karsaz, 2020 (table II). Y. Shi, R. Eberhart, A modified particle swarm optimizer, 1998.
     """
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        w: float = 0.4,
-        c1: float = 1.2,
-        c2: float = 1.6,
-        **options: Unpack[PopulationOptions],
-    ) -> None:
-        self.w, self.c1, self.c2 = w, c1, c2
-        super().__init__(lower, upper, seed, **options)
+    w: float = 0.4
+    c1: float = 1.2
+    c2: float = 1.6
 
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
 import numpy as np
 
-from .search import Moves, Options, Search, Seed
+from .search import Moves, Search, Seed
 
 GOLDEN = 0.5 * (3.0 - math.sqrt(5.0))
 # Around a smooth minimum the value changes by less than its rounding within this share of the variable.
 EPS = math.sqrt(2.2e-16)
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Scan(Search):
     """A grid over the box, then Brent's bounded search in the two cells beside the best grid point.
 
@@ -34,22 +34,15 @@ class Scan(Search):
     R. P. Brent, Algorithms for minimization without derivatives, 1973, ch. 5 (the form of fminbound).
     """
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        n_grid: int = 20,
-        tolerance: float = 1e-3,
-        **options: Unpack[Options],
-    ) -> None:
-        if len(lower) != 1:
-            raise ValueError(f"a scan has one variable, got bounds of {len(lower)}")
-        if n_grid < 3:
-            raise ValueError(f"n_grid is {n_grid}, expected at least 3")
-        self.n_grid, self.tolerance = n_grid, tolerance
-        super().__init__(lower, upper, seed, **options)
+    n_grid: int = 20
+    tolerance: float = 1e-3
+
+    def __post_init__(self, seed: Seed) -> None:
+        if len(self.lower) != 1:
+            raise ValueError(f"a scan has one variable, got bounds of {len(self.lower)}")
+        if self.n_grid < 3:
+            raise ValueError(f"n_grid is {self.n_grid}, expected at least 3")
+        super().__post_init__(seed)
 
     def moves(self) -> Moves:  # noqa: D102
         grid = np.linspace(self.lower[0], self.upper[0], self.n_grid).tolist()

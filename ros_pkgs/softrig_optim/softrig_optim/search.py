@@ -6,14 +6,14 @@ import math
 import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple, TypedDict, Unpack
+from dataclasses import KW_ONLY, InitVar, dataclass
+from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 
 Point = tuple[float, ...]
-Array = NDArray[np.float64]
 Seed = int | np.random.Generator
 Moves = Generator[Sequence[Point], list[float], None]
 
@@ -25,21 +25,7 @@ class Evaluation(NamedTuple):
     value: float
 
 
-class Options(TypedDict, total=False):
-    """Options of every search in addition to its own parameters."""
-
-    maximise: bool
-    budget: int | None
-    stop: Callable[[Search], bool] | None
-
-
-class PopulationOptions(Options, total=False):
-    """Options of every search with a population in addition to its own parameters."""
-
-    n_pop: int
-    n_iter: int
-
-
+@dataclass(eq=False, repr=False)
 class Search(ABC):
     """A search over a box: `ask` returns a candidate, `tell` stores its value.
 
@@ -84,35 +70,32 @@ class Search(ABC):
     ...     search.tell((search.ask()[0] - 0.3) ** 2)
     """
 
+    lower: Any
+    upper: Any
+    seed: InitVar[Seed] = 0
+    _: KW_ONLY
+    maximise: bool = False
+    budget: int | None = None
+    stop: Callable[[Search], bool] | None = None
+
     remembers = True
     watches = False
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        maximise: bool = False,
-        budget: int | None = None,
-        stop: Callable[[Search], bool] | None = None,
-    ) -> None:
+    def __post_init__(self, seed: Seed) -> None:
+        lower, upper = self.lower, self.upper
         self.lower, self.upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
         if self.lower.ndim != 1 or self.lower.shape != self.upper.shape or self.lower.size == 0:
             raise ValueError(f"lower = {lower}, upper = {upper}: expected as many of each, one or more")
         if not (np.isfinite([*lower, *upper]).all() and (self.lower < self.upper).all()):
             raise ValueError(f"lower = {lower}, upper = {upper}: expected lower < upper, both finite")
-        if budget is not None and budget < 1:
-            raise ValueError(f"budget is {budget}, expected at least 1")
+        if self.budget is not None and self.budget < 1:
+            raise ValueError(f"budget is {self.budget}, expected at least 1")
         self.rng = np.random.default_rng(seed)
-        self.maximise = maximise
         self.history: list[Evaluation] = []
         self.best: Evaluation | None = None
         self.iteration = 0
         self.settle = True
         self.sample: Point = ()
-        self._budget = budget
-        self._stop = stop
         self._done = False
         self._costs: list[float] = []
         self._moves = self.moves()
@@ -218,45 +201,36 @@ class Search(ABC):
             except StopIteration:
                 self._done = True
         # The budget ends a search in the middle of a generation too, for each evaluation costs time at the plant.
-        if self.evaluations == self._budget or (self._stop is not None and self._stop(self)):
+        if self.evaluations == self.budget or (self.stop is not None and self.stop(self)):
             self._done = True
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Population(Search):
     """A search with a population that starts uniformly at random.
 
     Parameters
     ----------
-    n_pop : int, optional
-        Population, at least the class's `SMALLEST`; its `N_POP` when absent.
-    n_iter : int, optional
-        Iterations after the initial population; `N_ITER` when absent.
+    n_pop : int
+        Population, at least the class's `SMALLEST`.
+    n_iter : int
+        Iterations after the initial population.
     **options
         Those of `Search`.
     """
 
-    SMALLEST = 1
-    N_POP, N_ITER = 4, 10
+    n_pop: int = 4
+    n_iter: int = 10
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        n_pop: int | None = None,
-        n_iter: int | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        n_pop = self.N_POP if n_pop is None else n_pop
-        n_iter = self.N_ITER if n_iter is None else n_iter
-        if n_pop < self.SMALLEST:
-            raise ValueError(f"n_pop is {n_pop}, {type(self).__name__} needs at least {self.SMALLEST}")
-        if n_iter < 1:
-            raise ValueError(f"n_iter is {n_iter}, expected at least 1")
-        self.n_pop, self.n_iter = n_pop, n_iter
+    SMALLEST = 1
+
+    def __post_init__(self, seed: Seed) -> None:
+        if self.n_pop < self.SMALLEST:
+            raise ValueError(f"n_pop is {self.n_pop}, {type(self).__name__} needs at least {self.SMALLEST}")
+        if self.n_iter < 1:
+            raise ValueError(f"n_iter is {self.n_iter}, expected at least 1")
         # This stands last because it starts `moves`, which reads the settings above.
-        super().__init__(lower, upper, seed, **options)
+        super().__post_init__(seed)
 
     def iterations(self) -> Iterator[int]:
         """Count from 1 to n_iter."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
 from softrig_core.kit import dense
-from softrig_optim.search import Moves, Population, PopulationOptions, Seed, points
+from softrig_optim.search import Moves, Population, points
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Firefly(Population):
     r"""Firefly algorithm (FA).
 
@@ -33,22 +33,11 @@ class Firefly(Population):
     [1] J. Farzaneh, A. Karsaz, 2020 (table II). X.-S. Yang, Firefly algorithms for multimodal optimization, 2009.
     """
 
-    N_ITER = 6
-
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        all_pairs: bool = False,
-        beta0: float = 2.0,
-        alpha: float = 0.6,
-        gamma: float = 1.0,
-        **options: Unpack[PopulationOptions],
-    ) -> None:
-        self.all_pairs, self.beta0, self.alpha, self.gamma = all_pairs, beta0, alpha, gamma
-        super().__init__(lower, upper, seed, **options)
+    n_iter: int = 6
+    all_pairs: bool = False
+    beta0: float = 2.0
+    alpha: float = 0.6
+    gamma: float = 1.0
 
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()

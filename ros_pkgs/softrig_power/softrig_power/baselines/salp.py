@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
 import numpy as np
-from softrig_optim.search import Array, Moves, Population, PopulationOptions, Seed, points
+from softrig_core import Array
+from softrig_optim.search import Moves, Population, points
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class SalpSwarm(Population):
     r"""Salp swarm algorithm (SSA).
 
@@ -37,19 +38,9 @@ class SalpSwarm(Population):
     [2] S. Mirjalili et al., Salp swarm algorithm, Advances in Engineering Software 114, 2017.
     """
 
-    AMPLITUDE, DECAY = 3.2, 3.5
+    c3_threshold: float = 0.5
 
-    def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: Seed = 0,
-        *,
-        c3_threshold: float = 0.5,
-        **options: Unpack[PopulationOptions],
-    ) -> None:
-        self.c3_threshold = c3_threshold
-        super().__init__(lower, upper, seed, **options)
+    AMPLITUDE, DECAY = 3.2, 3.5
 
     def follow(self, position: Array, ahead: Array) -> Array:
         """Return the new position of a follower of the salp ahead, eq. (7)."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from softrig_optim.search import Array, Moves, Population, points
+from softrig_core import Array
+from softrig_optim.search import Moves, Population, points
 
 
 class GreyWolf(Population):
