@@ -12,7 +12,7 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softrig_core.command_line import Number, Parser
+from softrig_core.command_line import Number, Parser, repeated
 from softrig_core.extras import need
 from softrig_core.guard import guarded, plain
 from softrig_core.wire.recording import relative
@@ -224,21 +224,14 @@ def main_compare(argv: list[str]) -> int:
     parser.add_argument("b", type=_bag, metavar="B")
     parser.add_argument("--abs", type=Number(float, 0), default=0.0, metavar="TOL", help="|b - a| may be up to this")
     parser.add_argument("--rel", type=Number(float, 0), default=0.0, metavar="TOL", help="or up to this times |a|")
-    parser.add_argument(
+    repeated(
+        parser,
         "--field",
-        action="append",
-        default=[],
-        metavar="PATTERN=ABS[,REL]",
-        help="tolerance of the matching signals topic/channel/field; the first match counts",
+        "PATTERN=ABS[,REL]",
+        "tolerance of the matching signals topic/channel/field; the first match counts",
     )
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these (default: all)")
-    parser.add_argument(
-        "--namespace",
-        action="append",
-        default=[],
-        metavar="NS",
-        help="only topics in it, shown without it; twice: of A and of B, / for full names",
-    )
+    repeated(parser, "--namespace", "NS", "only topics in it, shown without it; twice: of A and of B, / for full names")
     parser.add_argument("--ignore", nargs="+", default=[], metavar="PATTERN", help="topics to leave out")
     parser.add_argument("--bitwise", action="store_true", help="demand equal bytes and bag times")
     parser.add_argument(

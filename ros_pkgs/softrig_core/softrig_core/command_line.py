@@ -6,7 +6,7 @@ import argparse
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from .errors import ScenarioError, closest
@@ -61,6 +61,11 @@ def named(text: str, option: str, form: str) -> tuple[str, str]:
 def pair(text: str) -> str:
     """Return ``NAME=VALUE`` or ``NAME+=VALUE`` without spaces around its sign: type of an option that is so named."""
     return re.sub(r"\s*(\+?=)\s*", r"\1", text.strip(), count=1)
+
+
+def repeated(parser: Any, name: str, metavar: str, text: str, kind: Callable[[str], Any] = str) -> None:
+    """Declare an option that may be given several times, with a list of its values in their order."""
+    parser.add_argument(name, action="append", type=kind, default=[], metavar=metavar, help=text)
 
 
 def check_text(words: Iterable[str]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from softrig_core import ScenarioError
-from softrig_core.command_line import Number, pair
+from softrig_core.command_line import Number, pair, repeated
 from softrig_core.kit.file_format import number_of
 
 from .naming import elsewhere, folder_of, from_here, scenario_file
@@ -46,14 +46,7 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         help="where the nodes live",
     )
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
-    parser.add_argument(
-        "--set",
-        action="append",
-        type=pair,
-        default=[],
-        metavar="NAME=VALUE",
-        help="change a parameter (node.parameter) or a shared value",
-    )
+    repeated(parser, "--set", "NAME=VALUE", "change a parameter (node.parameter) or a shared value", pair)
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE", help="change parameters, in the form of ros2 param dump"
     )
@@ -65,16 +58,8 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
     )
     parser.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="instead of the scenario's")
-    parser.add_argument(
-        "--external", action="append", default=[], metavar="NODE", help="another process starts this node"
-    )
-    parser.add_argument(
-        "--only",
-        action="append",
-        default=[],
-        metavar="NODE",
-        help="start this one here, the others on another machine; needs --domain",
-    )
+    repeated(parser, "--external", "NODE", "another process starts this node")
+    repeated(parser, "--only", "NODE", "start this one here, the others on another machine; needs --domain")
     parser.add_argument(
         "--wait", type=Number(float, 0, 1e9), metavar="S", help="limit of the wait for them (default: none)"
     )

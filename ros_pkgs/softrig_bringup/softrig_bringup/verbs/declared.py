@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 
-from softrig_core.command_line import Number, pair
+from softrig_core.command_line import Number, pair, repeated
 
 from ..options import run_options
 from ..pack.publication import license_of, person, publisher
@@ -49,14 +49,7 @@ def verbs(verb: Verb) -> None:
         metavar="DATE",
         help="for archives (RO-Crate): when it is published (1980-01-01)",
     )
-    pack.add_argument(
-        "--author",
-        type=person,
-        action="append",
-        default=[],
-        metavar="NAME [ORCID]",
-        help="for archives: author; repeat it for each one",
-    )
+    repeated(pack, "--author", "NAME [ORCID]", "for archives: author; repeat it for each one", person)
     pack.add_argument("--publisher", type=publisher, metavar="NAME [URL]", help="for archives: publisher")
     pack.add_argument("--license", type=license_of, metavar="SPDX", help="for archives: licence, as CC-BY-4.0")
     pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
@@ -101,13 +94,7 @@ def _run_and_view(verb: Verb) -> None:
     report.add_argument(
         "--table", type=Path, metavar="FILE", help="figures of the runs as LaTeX (.tex, booktabs) or .csv, for a paper"
     )
-    report.add_argument(
-        "--label",
-        action="append",
-        default=[],
-        metavar="TEXT",
-        help="name of a run, in their order (default: its own, or its folder)",
-    )
+    repeated(report, "--label", "TEXT", "name of a run, in their order (default: its own, or its folder)")
     draw = verb("draw", "cli:main", "pictures of a run for a paper, its plant in motion, layouts for other viewers")
     drawings = draw.add_subparsers(required=True, metavar="WHAT")
     text = "pictures of a run that is over, for a paper: size, letters, data"
@@ -128,7 +115,7 @@ def _run_and_view(verb: Verb) -> None:
     )
     plot.add_argument("--columns", choices=("1", "2"), default="1", help="with --style: how wide (1)")
     plot.add_argument("--namespace", default="", metavar="NS", help="of a bag: only topics in it, named without it")
-    plot.add_argument("--label", action="append", default=[], metavar="TEXT", help="name of a run, in their order")
+    repeated(plot, "--label", "TEXT", "name of a run, in their order")
     plot.add_argument("--format", choices=("pdf", "svg", "png", "pgf"), default="pdf")
     plot.add_argument("--width", type=Number(float, 20, 1000), metavar="MM", help="width; the height follows")
     plot.add_argument("--font", type=Number(float, 3, 40), metavar="PT", help="size of the letters")
@@ -208,29 +195,20 @@ def _vary(verb: Verb) -> None:
     )
     study.add_argument("--like", type=Path, metavar="FILE", help="instead: the study of a file of `pack`, row for row")
     study.add_argument("--trust", action="store_true", help="with --like FILE: allow the code in that file to run")
-    study.add_argument(
-        "--grid",
-        action="append",
-        type=pair,
-        default=[],
-        metavar="NAME=A,B,C",
-        help="every combination; also LOW:HIGH:STEP with both ends",
-    )
-    study.add_argument(
+    repeated(study, "--grid", "NAME=A,B,C", "every combination; also LOW:HIGH:STEP with both ends", pair)
+    repeated(
+        study,
         "--draw",
-        action="append",
-        type=pair,
-        default=[],
-        metavar="NAME=LOW..HIGH",
-        help="drawn uniformly; also 'log LOW..HIGH', of a list LOW..HIGH*N, one of A,B,C",
+        "NAME=LOW..HIGH",
+        "drawn uniformly; also 'log LOW..HIGH', of a list LOW..HIGH*N, one of A,B,C",
+        pair,
     )
-    study.add_argument(
+    repeated(
+        study,
         "--against",
-        action="append",
-        type=pair,
-        default=[],
-        metavar="SCENARIO|NAME=VALUE",
-        help="compare with another scenario, or this one changed, for the same draws and seeds",
+        "SCENARIO|NAME=VALUE",
+        "compare with another scenario, or this one changed, for the same draws and seeds",
+        pair,
     )
     study.add_argument("--draws", type=Number(int, 1, RUNS), metavar="N", help="how many points are drawn (100)")
     study.add_argument(
@@ -245,22 +223,17 @@ def _vary(verb: Verb) -> None:
         help="Sobol' indices of what --draw names, by N (names + 2) runs; N is a power of two (128)",
     )
     study.add_argument("--search", metavar="FIGURE", help="minimise this figure over what --draw names")
-    study.add_argument(
-        "--subject-to",
-        action="append",
-        default=[],
-        metavar="'FIGURE <= X'",
-        help="how often it holds; with --search: only runs that keep to it; also >=",
+    repeated(
+        study, "--subject-to", "'FIGURE <= X'", "how often it holds; with --search: only runs that keep to it; also >="
     )
     study.add_argument("--maximise", action="store_true", help="with --search: maximise instead")
     study.add_argument("--seeds", type=Number(int, 1, RUNS), metavar="N", help="rig seeds 0 to N - 1 of each point")
-    study.add_argument(
+    repeated(
+        study,
         "--width",
-        action="append",
-        type=pair,
-        default=[],
-        metavar="FIGURE=W",
-        help="how many runs its 95 %% interval needs to be so wide; also of a requirement or a --subject-to",
+        "FIGURE=W",
+        "how many runs its 95 %% interval needs to be so wide; also of a requirement or a --subject-to",
+        pair,
     )
     study.add_argument("--force", action="store_true", help="also seeds of a rig that draws no random number")
     study.add_argument(
@@ -278,12 +251,11 @@ def _vary(verb: Verb) -> None:
         "search for a run that violates a requirement; the violation is reduced and stored",
     )
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
-    falsify.add_argument(
+    repeated(
+        falsify,
         "--requirement",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="also a figure with an expected bound; default: all requirements that follow the machine",
+        "NAME",
+        "also a figure with an expected bound; default: all requirements that follow the machine",
     )
     falsify.add_argument(
         "--strict",
@@ -291,14 +263,13 @@ def _vary(verb: Verb) -> None:
         default=None,
         help="all requirements, also those with numbers for the machine as it was",
     )
-    falsify.add_argument(
+    repeated(
+        falsify,
         "--over",
-        action="append",
-        type=pair,
-        default=[],
-        metavar="NAME=LOW..HIGH",
-        help="of a node, fault or signal; 'log LOW..HIGH', list or signal: LOW..HIGH*N (steps), of "
+        "NAME=LOW..HIGH",
+        "of a node, fault or signal; 'log LOW..HIGH', list or signal: LOW..HIGH*N (steps), of "
         "a signal LOW..HIGH~N (lines), SIGNAL+=LOW..HIGH*N (added to it)",
+        pair,
     )
     falsify.add_argument("--budget", type=Number(int, 1, RUNS), metavar="N", help="runs (200)")
     falsify.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="of the search (0)")
@@ -390,7 +361,7 @@ def _analyse(verb: Verb) -> None:
             metavar="SIGNAL",
             help="output signal (default: outputs of plants)",
         )
-        sub.add_argument("--set", action="append", type=pair, default=[], metavar="NAME=VALUE", help="as in run")
+        repeated(sub, "--set", "NAME=VALUE", "as in run", pair)
 
 
 def _ros(verb: Verb) -> None:
