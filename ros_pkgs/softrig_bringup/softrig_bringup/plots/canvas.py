@@ -8,17 +8,19 @@ that functions that draw into one of these axes can draw into matplotlib's too.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from functools import wraps
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from softrig_core import Array
 
 from .style import COLOURS
 
-Array = NDArray[np.float64]
 Dashes = str | tuple[float, Sequence[float]]
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 
 MARKS = {"o": "o", "o-": "o", ".": ".", "x": "x"}  # of a line's form
 
@@ -115,6 +117,29 @@ class Across:
     data: Literal["x", "y"]
 
 
+@dataclass(eq=False)
+class Call:
+    """One call, to be repeated on matplotlib's object of the same kind."""
+
+    target: Any
+    name: str
+    args: tuple[Any, ...]
+    kwargs: dict[str, Any]
+    result: Any
+
+
+def recorded(method: _Method) -> _Method:
+    """Keep each call of a method in its figure as the caller wrote it, with its result."""
+
+    @wraps(method)
+    def call(target: Any, *args: Any, **kwargs: Any) -> Any:
+        result = method(target, *args, **kwargs)
+        getattr(target, "figure", target).calls.append(Call(target, method.__name__, args, kwargs, result))
+        return result
+
+    return cast(_Method, call)
+
+
 class Axis:
     """One direction of an axes: limits, which several axes may share, ticks and title.
 
@@ -197,10 +222,7 @@ class Axes:
         """Lines that were drawn, in order."""
         return [item for item in self.items if isinstance(item, Line)]
 
-    def _called(self, name: str, result: Any, *args: Any, **kwargs: Any) -> Any:
-        self.figure.calls.append(Call(self, name, args, kwargs, result))
-        return result
-
+    @recorded
     def plot(
         self,
         x: ArrayLike,
@@ -220,12 +242,6 @@ class Axes:
         clip_on: bool = True,
     ) -> list[Line]:
         """Draw a line or marks."""
-        options = {
-            "label": label, "color": color, "linewidth": linewidth, "alpha": alpha, "transform": transform
-        }  # fmt: skip
-        more: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
-        if form == "-":
-            more["linestyle"] = linestyle
         if color is None:
             color = COLOURS[self._next % len(COLOURS)]
             self._next += 1
@@ -251,10 +267,9 @@ class Axes:
             self.y.see(line.y[known])
         else:
             self.x.see(line.x)
-        about = {"marker": marker} if marker or form == "-" else {}
-        how = about | {"markersize": markersize, "drawstyle": drawstyle, "zorder": zorder, "clip_on": clip_on} | more
-        return list(self._called("plot", [line], line.x, line.y, *([form] if form != "-" else []), **how))
+        return [line]
 
+    @recorded
     def fill_between(
         self,
         x: ArrayLike,
@@ -274,11 +289,9 @@ class Axes:
         self.items.append(area)
         self.x.see(x)
         self.y.see([*low, *high])
-        how: dict[str, Any] = {} if step is None else {"step": step}
-        how |= {"color": color, "alpha": alpha, "linewidth": linewidth, "zorder": zorder}
-        self._called("fill_between", area, x, low, high, **how)
         return area
 
+    @recorded
     def axvspan(
         self, start: float, end: float, *, color: str, alpha: float, linewidth: float = 0.0, zorder: float = 1.0
     ) -> Area:
@@ -286,25 +299,25 @@ class Axes:
         area = Area("", zorder, color, alpha, np.array([start, end]), np.zeros(2), np.ones(2), linewidth, tall=True)
         self.items.append(area)
         self.x.see(area.x)
-        self._called("axvspan", area, start, end, color=color, alpha=alpha, linewidth=linewidth, zorder=zorder)
         return area
 
+    @recorded
     def axvline(self, at: float, *, color: str, linestyle: Dashes, linewidth: float, zorder: float = 2.0) -> Rule:
         """Draw a line from bottom to top."""
         rule = Rule("", zorder, color, 1.0, "x", at, linestyle, linewidth)
         self.items.append(rule)
         self.x.see([at])
-        self._called("axvline", rule, at, color=color, linestyle=linestyle, linewidth=linewidth, zorder=zorder)
         return rule
 
+    @recorded
     def axhline(self, at: float, *, color: str, linewidth: float) -> Rule:
         """Draw a line from left to right."""
         rule = Rule("", 2.0, color, 1.0, "y", at, "-", linewidth)
         self.items.append(rule)
         self.y.see([at])
-        self._called("axhline", rule, at, color=color, linewidth=linewidth)
         return rule
 
+    @recorded
     def annotate(
         self,
         text: str,
@@ -328,19 +341,9 @@ class Axes:
             bbox is not None,
         )  # fmt: skip
         self.items.append(label)
-        how: dict[str, Any] = {"bbox": bbox} if bbox else {}
-        how |= {"rotation": rotation, "zorder": zorder} if rotation or zorder != 3.0 else {}
-        how |= {
-            "xycoords": xycoords,
-            "textcoords": textcoords,
-            "ha": ha,
-            "va": va,
-            "fontsize": fontsize,
-            "color": color,
-        }
-        self._called("annotate", label, text, xy, xytext, **how)
         return label
 
+    @recorded
     def scatter(self, x: Array, y: Array, *, c: Array, s: float, cmap: str, vmin: float, vmax: float) -> Cells:
         """Draw dots whose colours are values."""
         dots = Cells(
@@ -352,9 +355,9 @@ class Axes:
         self.items.append(dots)
         self.x.see(x)
         self.y.see(y)
-        self._called("scatter", dots, x, y, c=c, s=s, cmap=cmap, vmin=vmin, vmax=vmax)
         return dots
 
+    @recorded
     def pcolormesh(
         self, x: Array, y: Array, values: Array, *, shading: Literal["nearest"], cmap: str, vmin: float, vmax: float
     ) -> Cells:
@@ -370,9 +373,9 @@ class Axes:
         self.items.append(cells)
         self.x.see(edges_x, (edges_x[0], edges_x[-1]))
         self.y.see(edges_y, (edges_y[0], edges_y[-1]))
-        self._called("pcolormesh", cells, x, y, values, shading=shading, cmap=cmap, vmin=vmin, vmax=vmax)
         return cells
 
+    @recorded
     def hist(
         self,
         values: Sequence[float],
@@ -389,8 +392,8 @@ class Axes:
         self.items.append(bars)
         self.x.see(edges)
         self.y.see([0.0, *counts], (0.0,))
-        self._called("hist", None, values, bins=bins, color=color, label=label, alpha=alpha)
 
+    @recorded
     def boxplot(
         self,
         values: Sequence[Sequence[float]],
@@ -406,8 +409,6 @@ class Axes:
                 self.x.see(line.x)
         self.y.fixed = (0.5, len(values) + 0.5)
         self.ticks["y"] = [float(k) for k in range(1, len(values) + 1)], list(tick_labels)
-        how = {"orientation": orientation, "tick_labels": tick_labels, "flierprops": flierprops}
-        self._called("boxplot", None, values, **how)
 
     def get_xlim(self) -> tuple[float, float]:
         """Return the limits of x."""
@@ -417,40 +418,40 @@ class Axes:
         """Return the limits of y."""
         return self.y.limits()
 
+    @recorded
     def set_xlim(self, low: float, high: float) -> None:
         """Set the limits of x."""
         self.x.fixed = (low, high)
-        self._called("set_xlim", None, low, high)
 
+    @recorded
     def set_ylim(self, low: float, high: float) -> None:
         """Set the limits of y."""
         self.y.fixed = (low, high)
-        self._called("set_ylim", None, low, high)
 
+    @recorded
     def margins(self, both: float | None = None, *, x: float | None = None, y: float | None = None) -> None:
         """Set the free share of the data range beside the data."""
         for axis, share in ((self.x, x), (self.y, y)):
             share = both if both is not None else share
             if share is not None:
                 axis.margin = share
-        shares = {name: share for name, share in (("x", x), ("y", y)) if share is not None}
-        self._called("margins", None, *([both] if both is not None else []), **shares)
 
+    @recorded
     def set_xlabel(self, text: str, *, fontsize: float | None = None) -> None:
         """Set the title of the x axis."""
         self.titles["x"], self.sizes["x"] = text, fontsize or 10.0
-        self._called("set_xlabel", None, text, **({"fontsize": fontsize} if fontsize else {}))
 
+    @recorded
     def set_ylabel(self, text: str, *, gid: str | None = None) -> None:
         """Set the title of the y axis; `gid` marks a title that is only a unit."""
         self.titles["y"], self.unit_alone = text, gid is not None
-        self._called("set_ylabel", None, text, gid=gid)
 
+    @recorded
     def set_title(self, text: str, *, loc: Literal["left", "right"], fontsize: float, color: str | None = None) -> None:
         """Write a title above the axes."""
         self.heads[loc] = text, fontsize, color or "#222222"
-        self._called("set_title", None, text, loc=loc, fontsize=fontsize, **({"color": color} if color else {}))
 
+    @recorded
     def set_xticks(
         self, ticks: Sequence[float] | Array, labels: Sequence[str] | None = None, *, fontsize: float | None = None
     ) -> None:
@@ -458,13 +459,11 @@ class Axes:
         self._set_ticks("x", ticks, labels)
         if fontsize:
             self.tick_sizes["x"] = fontsize
-        how = {"fontsize": fontsize} if fontsize else {}
-        self._called("set_xticks", None, ticks, *([labels] if labels is not None else []), **how)
 
+    @recorded
     def set_yticks(self, ticks: Sequence[float] | Array, labels: Sequence[str] | None = None) -> None:
         """Set the ticks of the y axis and their labels."""
         self._set_ticks("y", ticks, labels)
-        self._called("set_yticks", None, ticks, *([labels] if labels is not None else []))
 
     def _set_ticks(self, axis: str, ticks: Sequence[float] | Array, labels: Sequence[str] | None) -> None:
         results = [float(t) for t in ticks]
@@ -482,11 +481,12 @@ class Axes:
                 )
             )
 
+    @recorded
     def whole_numbers(self) -> None:
         """Set ticks of the x axis at whole numbers only."""
         self.whole = True
-        self._called("whole_numbers", None)
 
+    @recorded
     def tick_params(
         self,
         *,
@@ -502,24 +502,21 @@ class Axes:
             self.numbered = labelbottom
         if length is not None:
             self.dashes = length > 0.0
-        options = {"labelsize": labelsize, "labelbottom": labelbottom, "length": length}
-        how: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
-        self._called("tick_params", None, axis=axis, **how)
 
+    @recorded
     def grid(self, visible: bool = True, axis: Literal["both", "x", "y"] = "both") -> None:
         """Show or hide lines of the grid."""
         self.gridded |= dict.fromkeys(("x", "y") if axis == "both" else (axis,), visible)
-        self._called("grid", None, visible, axis=axis)
 
+    @recorded
     def set_aspect(self, aspect: Literal["equal"], *, adjustable: Literal["datalim"]) -> None:
         """Use the same scale for both axes."""
         self.equal = True
-        self._called("set_aspect", None, aspect, adjustable=adjustable)
 
+    @recorded
     def set_axis_off(self) -> None:
         """Show no axes."""
         self.on = False
-        self._called("set_axis_off", None)
 
     def get_xaxis_transform(self) -> Across:
         """Return coordinates with x as data and y as a share of the axes."""
@@ -534,6 +531,7 @@ class Axes:
         named = [item for item in self.items if item.label]
         return named, [item.label for item in named]
 
+    @recorded
     def legend(
         self,
         handles: Sequence[Artist] | None = None,
@@ -547,11 +545,6 @@ class Axes:
         """Draw a legend above the axes; `how` applies only to print."""
         if handles is None or labels is None:
             handles, labels = self.get_legend_handles_labels()
-            self._called("legend", None, title=title, ncols=ncols, fontsize=fontsize, **how)
-        else:
-            self._called(
-                "legend", None, list(handles), list(labels), title=title, ncols=ncols, fontsize=fontsize, **how
-            )
         self.named = list(zip(handles, labels, strict=True)), title or "", ncols, fontsize
 
 
@@ -576,17 +569,6 @@ class Grid:
         row, column = key
         across = range(self.columns)[column] if isinstance(column, slice) else range(column, column + 1)
         return Place(self, key, range(row, row + 1), across)
-
-
-@dataclass(eq=False)
-class Call:
-    """One call, to be repeated on matplotlib's object of the same kind."""
-
-    target: Any
-    name: str
-    args: tuple[Any, ...]
-    kwargs: dict[str, Any]
-    result: Any
 
 
 class Figure:
@@ -626,49 +608,48 @@ class Figure:
         self.calls.append(Call(self, "subplots", (rows, 1), {"sharex": True, "squeeze": False}, array))
         return result
 
+    @recorded
     def subplots(self) -> Axes:
         """Create one axes of the whole."""
         axes = Axes(self, Grid(1, 1)[0, 0])
         self.axes.append(axes)
-        self.calls.append(Call(self, "subplots", (), {}, axes))
         return axes
 
+    @recorded
     def add_gridspec(self, rows: int, columns: int) -> Grid:
         """Divide into rows and columns."""
-        grid = Grid(rows, columns)
-        self.calls.append(Call(self, "add_gridspec", (rows, columns), {}, grid))
-        return grid
+        return Grid(rows, columns)
 
+    @recorded
     def add_subplot(self, place: Place, sharex: Axes | None = None) -> Axes:
         """Create an axes of a part of a grid."""
         axes = Axes(self, place, sharex)
         self.axes.append(axes)
-        self.calls.append(Call(self, "add_subplot", (place,), {"sharex": sharex}, axes))
         return axes
 
+    @recorded
     def suptitle(self, text: str, **how: Any) -> None:
         """Write the title of the picture; `how` applies only to print, as in the next two methods."""
         self.title = text
-        self.calls.append(Call(self, "suptitle", (text,), how, None))
 
+    @recorded
     def supxlabel(self, text: str, **how: Any) -> None:
         """Write a title below all axes."""
         self.below = text
-        self.calls.append(Call(self, "supxlabel", (text,), how, None))
 
+    @recorded
     def text(self, x: float, y: float, text: str, **how: Any) -> None:
         """Write a small text in the upper right corner."""
         self.run = text
-        self.calls.append(Call(self, "text", (x, y, text), how, None))
 
+    @recorded
     def align_ylabels(self) -> None:
         """Do nothing; an SVG of softrig always aligns the titles of y axes."""
-        self.calls.append(Call(self, "align_ylabels", (), {}, None))
 
+    @recorded
     def colorbar(self, cells: Cells, *, ax: Sequence[Axes], label: str) -> None:
         """Draw the colour scale at the right of all axes."""
         self.bar = cells, label
-        self.calls.append(Call(self, "colorbar", (cells,), {"ax": ax, "label": label}, None))
 
 
 def _colours(values: Array, scale: str, low: float, high: float) -> list[str]:
