@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import Array
 from softrig_core.wire.signals import Table
 
 from .compare import Tolerance, plain
@@ -17,7 +18,6 @@ from .errors import BagError
 from .pairing import useless
 from .read import BagSignals
 
-Array = NDArray[np.float64]
 EXACT = Tolerance()
 # This topic holds the times themselves and is no signal.
 CLOCK = "clock"

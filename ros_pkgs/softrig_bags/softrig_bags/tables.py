@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import Array
 from softrig_core.wire.types import TYPES
 
 from .content.block import Block, Bytes, Ints, distinct
@@ -16,7 +17,6 @@ from .content.definitions import UnknownType
 from .content.layouts import Column, Decoder, Template, Undecodable
 from .files.reader import BagReader
 
-Array = NDArray[np.float64]
 FRAME = "header/frame_id"
 
 

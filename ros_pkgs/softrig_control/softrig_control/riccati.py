@@ -11,9 +11,9 @@ from softrig_core.kit.dense import product, solve
 from .discretise import Matrix
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+    from softrig_core import Array
 
-    Array = NDArray[np.float64]
 
 # Largest residual of the equation, relative to the size of an entry: doubling may end at a matrix that is no solution.
 RESIDUAL = 1e-7

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         OperatingPoint as OperatingPoint,
         steady as steady,
     )
+    from .arrays import Array as Array, Complex as Complex
     from .block.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
     from .block.held import ByHand as ByHand, RunningBlock as RunningBlock
     from .block.params import (
@@ -85,6 +86,7 @@ if TYPE_CHECKING:
     from .wire.signals import Signals as Signals
 else:
     _HOMES = {
+        "arrays": "Array Complex",
         "errors": "RunError ScenarioError",
         "block.block": "Block Level Observer Plant Values",
         "block.held": "ByHand RunningBlock",

@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from softrig_core import Array
 
 DURATION, STEP, EVERY, SEGMENTS, CARS = 100.0, 0.01, 10, 20, 5
 CHASE_FROM, KEEP_TO, KEEP_FROM, BRAKE_FROM = 20.0, 15.0, 10.0, 5.0  # m behind the car before

@@ -17,11 +17,9 @@ from math import cos, pi, sin, tan
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from softrig_core import Array
 
 from .transmission import _place
-
-Array = NDArray[np.float64]
 
 DURATION, STEP, EVERY = 15.0, 0.01, 5  # s, s, steps a sample
 SPEED, ALPHA, ALTITUDE, POWER = 540.0, np.deg2rad(2.1215), 2338.0, 9.0  # ft/s, rad, ft, percent at the start

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from softrig_core import Array
 
 from .transmission import _line
-
-Array = NDArray[np.float64]
 
 DURATION, STEP, EVERY, SEGMENTS = 35.0, 0.01, 5, 20  # s, s, steps a sample, pieces of the input
 VOLUME, HOLDUP, COLD, HEAT = 3.0, 500.0, 60.0, 4.2  # m3, kg of cooling water, its temperature in degC, kJ/(kg K)

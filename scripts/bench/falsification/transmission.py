@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from softrig_core import Array
 
 DURATION, STEP, EVERY, SEGMENTS = 50.0, 0.01, 5, 10  # s, s, steps a sample, pieces of each input
 INERTIA, VEHICLE_INERTIA = 0.0219914882835559, 12.09414785731247  # of engine and impeller, and of the vehicle

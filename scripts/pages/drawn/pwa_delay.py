@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from softrig_core import ByHand, SignalMap, simulate
+from softrig_core import Array, ByHand, SignalMap, simulate
 from softrig_systems.pwa_delay.controllers import TankController
 from softrig_systems.pwa_delay.plants import TankPlant
 from softrig_systems.pwa_delay.proof.certify import Criterion, certified_margin
 from softrig_systems.pwa_delay.proof.level import level_bound
-from softrig_systems.pwa_delay.proof.lmi import Array
 from softrig_systems.pwa_delay.search import pwa_margin
 from softrig_systems.pwa_delay.system import continuous_tank, pendulum, switched
 

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from softrig_core import simulate
+from softrig_core import Array, simulate
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.ports import WAVEFORM_CHANNELS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 STEPS = {
     "rectifier_mpc_n1": "x 1.25",

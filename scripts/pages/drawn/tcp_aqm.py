@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from softrig_core import SignalMap, simulate
-from softrig_core.judge.measures import Array
+from softrig_core import Array, SignalMap, simulate
 
 QUEUE = "network/truth/queue/position"
 LAWS = {"SSPD": "", "SSPID": "_sspid", "PI": "_pi", "PID": "_pid"}

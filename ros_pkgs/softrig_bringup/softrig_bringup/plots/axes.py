@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from softrig_core import Array
 
 from . import style as look
 from .canvas import Artist, Axes
-from .curves import Array, Curve, envelope, inked, logical
+from .curves import Curve, envelope, inked, logical
 from .marks import NAMED, Mark
 from .shades import shades
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import Port, Rig, ScenarioError, Signals
+from softrig_core import Array, Port, Rig, ScenarioError, Signals
 from softrig_core.block.port import XYZ
 from softrig_core.errors import closest
 from softrig_core.rig.members import signal_units
@@ -16,8 +15,6 @@ from softrig_core.wire.long import gathered, stretches
 from softrig_core.wire.signals import short_name, topic_of
 
 from .named import Shown
-
-Array = NDArray[np.float64]
 
 _PIXELS = 1100  # columns that a long signal is reduced to
 LONG = 1 << 18  # samples beyond which a curve over time is reduced when it is made

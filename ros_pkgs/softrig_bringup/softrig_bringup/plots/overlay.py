@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from softrig_core import Signals
+from softrig_core import Array, Signals
 from softrig_core.scenario.plot_entry import PlotEntry
 
 from . import style as look
 from .axes import draw, legend
 from .canvas import Axes, Figure
-from .curves import Array, Curve, inside
+from .curves import Curve, inside
 from .named import LEAST, Shown
 from .pictures import fitted, letters, time_scale
 from .style import axis_title, quantity

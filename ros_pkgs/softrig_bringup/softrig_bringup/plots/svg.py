@@ -11,8 +11,9 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import Array
 
-from .canvas import Area, Array, Artist, Axes, Axis, Cells, Dashes, Figure, Line, Rule, Words
+from .canvas import Area, Artist, Axes, Axis, Cells, Dashes, Figure, Line, Rule, Words
 from .curves import envelope
 from .ticks import minus, power_of, round_ticks, texts, with_power
 

@@ -8,14 +8,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import ScenarioError
+from softrig_core import Array, ScenarioError
 from softrig_core.scenario.scenario import Draft, read_draft
 
 from . import RUNS
 from .definition import Distribution, Draws, Study
-
-Array = NDArray[np.float64]
 
 
 class Case(NamedTuple):

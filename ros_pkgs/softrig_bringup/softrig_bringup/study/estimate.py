@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import Array
 
-Array = NDArray[np.float64]
 # With fewer pairs a bootstrap covers less than 95 %: 0.75 of three normal pairs, 0.92 of five.
 FEW = 10
 LEVEL = 0.95  # confidence of every interval

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 
 from ..plots.canvas import Axes, Cells, Figure
 from ..plots.named import plot_name
@@ -20,7 +20,6 @@ from .table import label
 from .work import absent, value_of
 
 Row = Mapping[str, Any]
-Array = NDArray[np.float64]
 TICKS = 12  # values of a parameter that get a tick each
 LOST = "#b3261e"  # of what has no value
 FEW = 3  # histograms that can be told apart over one another

@@ -8,8 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import load_scenario
+from softrig_core import Array, load_scenario
 from softrig_core.errors import ScenarioError, closest
 from softrig_core.judge.expectation import Expectation
 
@@ -19,8 +18,6 @@ from .draw import points_of, size
 from .estimate import Estimate
 from .table import Row, label
 from .work import absent, value_of
-
-Array = NDArray[np.float64]
 
 
 class Line(NamedTuple):

@@ -7,10 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 from softrig_core.wire.signals import Signal, Table, full_name, topic_of
-
-Array = NDArray[np.float64]
 
 ROWS = 200_000  # messages of a topic that are kept
 _BUCKET = 4  # old messages of which the lowest and the highest value stay

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from softrig_core import Array
 
 from .carima import Carima
 
-Array = NDArray[np.float64]
 STRICT = 1e-9  # what counts as zero beside the largest entry
 
 

@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..arrays import Array
+
 Response = Callable[[Array], NDArray[np.complex128]]
 
 # Two neighbouring points may differ by this angle (rad) and this factor, so that no crossing is between them unseen.

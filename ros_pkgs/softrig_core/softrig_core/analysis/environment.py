@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from ..arrays import Array
 from ..block.answer import Rows
 from ..block.block import Observer
 from ..block.held import ByHand
@@ -35,9 +36,7 @@ need("gymnasium", "RigEnv")
 
 import gymnasium as gym  # noqa: E402
 import numpy as np  # noqa: E402
-from numpy.typing import NDArray  # noqa: E402
 
-Array = NDArray[np.float64]
 Signals = Sequence[str] | Mapping[str, tuple[float, float]]
 
 

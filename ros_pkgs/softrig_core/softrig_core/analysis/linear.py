@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import RunError
 from ..extras import need
 from ..kit.dense import solve
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from ..block.block import Plant
 
-Array = NDArray[np.float64]
 STEP = 1e-3  # of the differences, relative: their error is of order STEP^4, their rounding of 1e-16/STEP
 
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import RunError, ScenarioError
 from ..extras import need
 from ..rig.members import signal_units
@@ -34,7 +35,6 @@ from .state_map import StateMap, is_source, place_of, signal_of, upstream
 if TYPE_CHECKING:
     import control
 
-Array = NDArray[np.float64]
 # Powers of two are added to a state without rounding where this is possible.
 STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # shares of the size of the state or input that is moved
 AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..block.link import Link
 from ..block.loop import Loop
 from ..block.port import Port, Sample
@@ -28,7 +28,6 @@ from ..run.inprocess import wired
 from ..verdict.requirements import names_of
 from ..wire.signals import full_name
 
-Array = NDArray[np.float64]
 LONGEST = 20_000  # ticks that one period of the whole may have
 LATER = 10  # periods that an effect may take to be seen, besides those of the values that it passes
 LOOKS = 20  # times before that are looked at to see how large states are

@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import Array
 from ..errors import RunError, ScenarioError
 from ..rig.members import Member, signal_units
 from ..rig.rig import Rig
 from ..run.expand import rig_of
 from ..scenario.scenario import Scenario
-from .linear_view import Array, Differences, plant_outputs
+from .linear_view import Differences, plant_outputs
 from .state_map import StateMap, is_source, place_of, signal_of, upstream
 
 STEPS = 25

@@ -8,11 +8,10 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..wire.long import elementwise
 
-Array = NDArray[np.float64]
 # What sentil writes as JSON: {"Always": [{"lower", "upper"}, tree]}, {"Predicate": {"lhs", "op", "rhs"}}.
 # A literal is a number, or the name of one among the samples, so that variants of a rig share the tree of a formula.
 Tree = Any

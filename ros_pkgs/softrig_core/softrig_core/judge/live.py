@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .arithmetic import Array, Tree
+from ..arrays import Array
+from .arithmetic import Tree
 from .formula import FUTURE, PAST
 from .robustness import INF, Record, limits, opposite
 

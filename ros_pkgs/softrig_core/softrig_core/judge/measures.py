@@ -41,6 +41,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..wire.long import counted, gathered, is_long
 from ..wire.times import once_for_times
 
@@ -61,7 +62,6 @@ SHARED = 1 << 22
 # Times in s are whole ns, so a sample nearer than this (s) to an end of a window is at it.
 HALF_NS = 5e-10
 
-Array = NDArray[np.float64]
 SignalMap = Mapping[str, tuple[Array, Array]]
 Function = Callable[..., float]
 _F = TypeVar("_F", bound=Function)

@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..kit.jit import jit
-from .arithmetic import Array, Tree, arithmetic, called, carries
+from .arithmetic import Tree, arithmetic, called, carries
 from .formula import FUTURE, variables
 
 COLUMNS = 6  # signals that a formula may read

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..timebase import SECOND
 from ..wire.long import LongArray, elementwise, is_long
-from .arithmetic import Array, Samples, Tree, arithmetic, sure
+from .arithmetic import Samples, Tree, arithmetic, sure
 from .formula import EDGES, FUTURE, PAST, Condition, horizon, nodes, variables
 from .one_pass import Extreme, OnePass
 

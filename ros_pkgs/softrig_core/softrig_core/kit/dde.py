@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    from ..arrays import Array
 
 
 Past = float | Sequence[float] | Callable[[float], float | Sequence[float]]

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
-from ..judge.arithmetic import Array, Tree
+from ..judge.arithmetic import Tree
 from ..judge.expression import references
 from ..judge.formula import (
     Condition,

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..timebase import SECOND
 from .cdr import Layout, Message, parse
 from .columns import SPARE, Columns, Stored, joined
@@ -16,8 +17,6 @@ from .long import is_long
 from .recording import Recording, Topic
 from .times import common, once_for_times
 from .types import TYPES
-
-Array = NDArray[np.float64]
 
 
 class Signal(NamedTuple):

@@ -11,12 +11,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import SignalMap, figure, window
+from softrig_core import Array, SignalMap, figure, window
 from softrig_core.judge.measures import HALF_NS, Places, held, mean_over, newest, places, shared
 from softrig_core.wire.long import elementwise, gathered, is_long, true_places
 from softrig_core.wire.times import once_for_times
 
-Array = NDArray[np.float64]
 Vectors = NDArray[np.complex128]
 Component = Literal["alpha", "beta", "magnitude"]
 SMALL = 1e-250  # squares beyond this or its inverse may have lost digits

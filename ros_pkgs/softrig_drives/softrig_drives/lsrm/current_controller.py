@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core import Block, BlockParams, jit, param
+from softrig_core import Array, Block, BlockParams, jit, param
 
-from .machine import N_PHASES, Array, Geometry, distance, profile
+from .machine import N_PHASES, Geometry, distance, profile
 from .ports import FORCE_CMD, MOTION, PHASE_CURRENTS, PHASE_VOLTAGE
 
 Vector = tuple[float, ...]

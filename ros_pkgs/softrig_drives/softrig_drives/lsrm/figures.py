@@ -12,11 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import SignalMap, figure, window
+from softrig_core import Array, SignalMap, figure, window
 from softrig_core.judge.measures import HALF_NS, NS, begin, held, mean_over, newest
-
-Array = NDArray[np.float64]
 
 POSITION = "joint_states/translator/position"
 SPEED = "joint_states/translator/velocity"

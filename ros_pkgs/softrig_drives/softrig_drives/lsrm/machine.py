@@ -6,11 +6,9 @@ import math
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core import Params, jit, param
+from softrig_core import Array, Params, jit, param
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 Vector = tuple[Any, ...]  # of floats; a slice of a named tuple has the type of all its fields

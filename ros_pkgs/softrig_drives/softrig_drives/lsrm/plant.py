@@ -8,9 +8,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
-from softrig_core import BlockParams, Level, Marker, Plant, jit, param
+from softrig_core import Array, BlockParams, Level, Marker, Plant, jit, param
 
-from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, Vector, advance, distance, phase
+from .machine import N_PHASES, STATES, Geometry, Mechanics, Vector, advance, distance, phase
 from .markers import stator, translator
 from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, TRANSLATOR
 

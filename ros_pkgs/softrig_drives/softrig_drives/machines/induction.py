@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from softrig_core import Params, jit, param
-
-from .synchronous import Array
+from softrig_core import Array, Params, jit, param
 
 
 class InductionConstants(Params):

@@ -6,11 +6,11 @@ import math
 from typing import Any, ClassVar, NamedTuple, Self
 
 from pydantic import model_validator
+from softrig_core import Array
 
 from . import induction
 from .induction import InductionConstants
 from .plant import MachineParams, MachinePlant, Nine, Three
-from .synchronous import Array
 
 
 class InductionPlantParams(InductionConstants, MachineParams):

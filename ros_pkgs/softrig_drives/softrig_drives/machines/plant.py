@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import Level, Plant, Port, param, resolving_step, to_ns
+from softrig_core import Array, Level, Plant, Port, param, resolving_step, to_ns
 from typing_extensions import TypeVar
 
 from . import synchronous
@@ -19,7 +19,7 @@ from .inverter import NEVER, InverterParams
 from .mechanics import Mechanics
 from .ports import APPLIED, CURRENTS, DC_LINK, DUTY, JOINT_STATES, LOAD_SHAFT, LOAD_TORQUE
 from .step import SQRT3, Vector, stepper
-from .synchronous import Array, SynchronousConstants
+from .synchronous import SynchronousConstants
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 Three = tuple[float, float, float]

@@ -7,11 +7,9 @@ from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core import Params, jit, param
+from softrig_core import Array, Params, jit, param
 
-Array = NDArray[np.float64]
 TABLE = 7  # place of the first number of the tables among the constants
 
 

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
+from softrig_core import Array
 from softrig_optim.algorithms import AlgorithmParams
 from softrig_optim.search import run
 
 from ..baselines.algorithms import make
-from .units import Array, Units, balanced
+from .units import Units, balanced
 
 Baseline = Literal["issa", "ssa", "pso", "de_rand1", "de_best1", "gwo", "woa", "ga"]
 BASELINES: tuple[str, ...] = get_args(Baseline)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import jit
+from softrig_core import Array, jit
 
 from .conditions import Conditions, Losses
-from .units import NARROW, Array, Units
+from .units import NARROW, Units
 
 # The most corners of all hulls on the stack, which bounds its memory for many units.
 MEMORY = 30_000_000

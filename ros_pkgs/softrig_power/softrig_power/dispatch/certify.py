@@ -9,11 +9,12 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from softrig_core import Array
 
 from .branch import branch_and_bound, chord_excess
 from .conditions import Conditions
 from .two_stage import NoDispatch, breakpoints, milp, nlp
-from .units import Array, Units, balanced, cost_of, infeasible, marginal_cost
+from .units import Units, balanced, cost_of, infeasible, marginal_cost
 
 Method = Literal["two_stage", "certified", "enumeration", "baseline"]
 Progress = Callable[[float, float], object]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from softrig_core import resource
+from softrig_core import Array, resource
 from softrig_core.errors import closest
 
 from .table_file import LOSSES, TableError, read_rows
-from .units import Array, Units
+from .units import Units
 
 CONSTANT = "b00_MW"
 LINEAR = "b0"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import jit
+from softrig_core import Array, jit
 
 from .branch import unit_cost
 from .certify import InfeasibleError
-from .units import NARROW, Array, Units, infeasible
+from .units import NARROW, Units, infeasible
 
 
 class TooManyError(ValueError):

@@ -9,8 +9,9 @@ from typing import Any
 
 import highspy
 import numpy as np
+from softrig_core import Array
 
-from .units import Array, Units, balanced, cost_of
+from .units import Units, balanced, cost_of
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from softrig_core import ScenarioError, resource
+from softrig_core import Array, ScenarioError, resource
 from softrig_core.errors import closest
 
 from .table_file import UNITS, TableError, read_rows
 
-Array = NDArray[np.float64]
 COLUMNS = (
     "p_min_MW",
     "p_max_MW",

@@ -15,13 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Complex, jit
 
 from ..lines.bergeron import Branch, Lines, branch, histories, lines, store
 from .network import NetworkParams
 from .pulses import fundamental, integral
-
-Complex = NDArray[np.complex128]
 
 A, BUS1, BUS2, BUS3, BUS4, B = range(6)
 SOURCE_A, SOURCE_B, I12, I34, I_SH = range(5)  # branch currents

@@ -7,12 +7,10 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import SignalMap, figure, window
+from softrig_core import Array, SignalMap, figure, window
 from softrig_core.judge.measures import HALF_NS, held, interval, mean_over, newest
 
 from .ports import TRACE
-
-Array = NDArray[np.float64]
 
 STATUS = "gupfc/status"
 POWERS = tuple(f"{STATUS}/{name}/position" for name in ("p_sh", "p12", "p34"))

@@ -8,13 +8,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core import Params, param
+from softrig_core import Complex, Params, param
 
 from ..lines.section import Section
-
-Complex = NDArray[np.complex128]
 
 BUSES = ("A", "1", "2", "3", "4", "B")
 HALVES = (("A", "1"), ("A", "3"), ("2", "B"), ("4", "B"))

@@ -28,11 +28,8 @@ import cmath
 import math
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, jit
 from softrig_core.kit import dense
-
-Array = NDArray[np.float64]
 
 SHIFTS = tuple(math.radians(d) for d in (7.5, -7.5, -22.5, -37.5))  # phi of the four bridges
 THIRD = 2.0 * math.pi / 3.0

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import Complex
 from softrig_core.kit import dense
 
 from ..lines.bergeron import Lines, delay_factor, history_length
@@ -18,7 +19,6 @@ from .circuit import I12, I34, I_SH, PULSE, SOURCE_A, SOURCE_B, A, B, Circuit, S
 from .flow.power_flow import Solution
 from .network import BUSES, HALVES, NetworkParams, admittance
 
-Complex = NDArray[np.complex128]
 # Rounds for the ripple of the DC voltage; each changes a thousandth of the previous change.
 ROUNDS = 4
 

@@ -20,12 +20,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, Complex, jit
 from softrig_core.kit import dense
 
-from .section import Complex, Section
+from .section import Section
 
-Array = NDArray[np.float64]
 # In steps. A shorter section has no room for the cubic through four samples.
 LEAST_DELAY = 4
 

@@ -7,9 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
-Complex = NDArray[np.complex128]
+from softrig_core import Complex
 
 
 @dataclass(frozen=True)

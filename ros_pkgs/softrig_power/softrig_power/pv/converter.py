@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import Params, jit, param
+from softrig_core import Array, Params, jit, param
 from softrig_core.kit.newest import once_for_objects
 
-from .module import Array
 from .string import Characteristic
 
 Line = tuple[float, float, float]  # of a characteristic: its number, current at no voltage (A), slope (S)

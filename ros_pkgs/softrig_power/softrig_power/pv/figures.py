@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from softrig_core import SignalMap, figure
+from softrig_core import Array, SignalMap, figure
 from softrig_core.judge.measures import HALF_NS, begin, held, mean_over
 
 from .array import split
-from .module import Array, ModuleParams
+from .module import ModuleParams
 from .string import Characteristic, characteristic
 
 POWER, VOLTAGE = "converter/state/p_in/position", "converter/state/v_in/position"

@@ -6,10 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import Params, jit, param
-
-Array = NDArray[np.float64]
+from softrig_core import Array, Params, jit, param
 
 
 @jit

@@ -8,10 +8,10 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core import jit
+from softrig_core import Array, jit
 from softrig_core.kit.dense import total
 
-from .module import STC, Array, Cell, ModuleParams, cell
+from .module import STC, Cell, ModuleParams, cell
 
 POINTS = 20001
 HEADROOM = 1.0664  # the table ends at this multiple of the open-circuit voltage: 90 V for four modules at 25 deg C

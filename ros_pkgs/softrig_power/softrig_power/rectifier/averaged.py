@@ -12,10 +12,7 @@ from .circuit import Circuit, Period, grid, grid_of, limited, phases, phases_of,
 from .quality import PLAIN, WINDOWS, sample, turn_over
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from softrig_core import Array
 
 
 @jit

@@ -11,10 +11,8 @@ from .averaged import walk
 from .circuit import Circuit, Period, grid
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from softrig_core import Array
 
-    Array = NDArray[np.float64]
 
 # The longest step in s. Half of it changes the voltage of a loaded link by less than 0.01 %.
 STEP = 1e-6

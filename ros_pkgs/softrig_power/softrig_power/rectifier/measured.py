@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, jit
 
 from .averaged import advance as advance_averaged, read
 from .circuit import Circuit, Period, turned
@@ -14,7 +13,6 @@ from .diodes import advance as advance_bridge
 from .quality import FIGURES, PLAIN, TIME, WINDOWS, cleared, empty, measure, opened
 from .switched import advance as advance_switched
 
-Array = NDArray[np.float64]
 Row = tuple[float, ...]
 AVERAGED, SWITCHED, BRIDGE = 0, 1, 2
 NO_TRACE = np.empty((0, 5))

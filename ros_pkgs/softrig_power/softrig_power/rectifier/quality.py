@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING
 from softrig_core import jit
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from softrig_core import Array
 
-    Array = NDArray[np.float64]
     Three = tuple[float, float, float]
 
 CYCLES = 6  # length of a window

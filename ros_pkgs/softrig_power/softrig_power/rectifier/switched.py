@@ -12,10 +12,8 @@ from .circuit import Circuit, Period, grid, grid_of, limited, phases, wanted
 from .quality import PENDING, PLAIN, WINDOWS, sample, turn_over
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from softrig_core import Array
 
-    Array = NDArray[np.float64]
     Three = tuple[float, float, float]
     Legs = tuple[Circuit, Period, float, float, float]
 

@@ -7,16 +7,14 @@ from math import cos
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
-from softrig_core import Params, param
+from softrig_core import Array, Params, param
 from softrig_core.block.params import flatten
 
 from ..joints import PerJoint, require_positive, spread
 from .model import LOWER, UPPER, RehabMotors, Segments
 
-Array = NDArray[np.float64]
 GRAVITY = 9.81
 
 

@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_core import (
+    Array,
     Jobs,
     Level,
     Port,
@@ -25,7 +26,6 @@ from .params import SystemParams, law_of_the_tank
 from .proof.applicability import NotApplicable
 from .proof.certify import Certificate, Criterion, certified_margin, certify
 from .proof.level import level_bound, level_margin
-from .proof.lmi import Array
 from .system import TANK_C
 
 VERDICT = {"h": "s", "valid": "", "t": "", "smallest": "", "inequalities": ""}

@@ -7,12 +7,11 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, param, scalars
+from softrig_core import Array, Block, BlockParams, Level, Port, param, scalars
 from softrig_core.kit.dense import product
 
 from .certificate import VERDICT, CriterionParams
 from .ports import VALUE, mode, state
-from .proof.lmi import Array
 from .system import PwaSystem
 from .watch import Watch, fixed
 

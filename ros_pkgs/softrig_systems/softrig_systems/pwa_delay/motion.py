@@ -14,10 +14,10 @@ from .profiles import Profile, delay_at
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from softrig_core import Array
 
     from .system import PwaSystem
 
-    Array = NDArray[np.float64]
 
 FREE = -1  # the cell is looked up at every stage
 BISECTIONS = 50
@@ -27,11 +27,11 @@ SWITCHES = 16  # most switches located in one step; beyond it is sliding, and ce
 class PwaConstants(NamedTuple):
     """A piecewise affine system and its delay for native loops; `cell` holds the number of the present cell."""
 
-    A: NDArray[np.float64]
-    Ad: NDArray[np.float64]
-    a: NDArray[np.float64]
-    lines: NDArray[np.float64]
-    lines_delayed: NDArray[np.float64]
+    A: Array
+    Ad: Array
+    a: Array
+    lines: Array
+    lines_delayed: Array
     cell: NDArray[np.int64]
     profile: Profile
 

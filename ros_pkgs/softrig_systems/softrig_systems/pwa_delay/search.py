@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from softrig_core import Array
 from softrig_core.kit.dde import trajectory
 
 from .motion import FREE, TankConstants, constants, run_pwa, run_tank
 from .profiles import Profile, profile
-from .proof.lmi import Array
 from .system import TANK_C, PwaSystem
 
 

@@ -9,10 +9,9 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from softrig_core import Array
 from softrig_core.kit import dense
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-9  # of the sizes of its terms, a sum that is zero but for rounding
 

@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, jit
 
 from .system import PwaSystem
 
-Array = NDArray[np.float64]
 Evaluation = tuple[
     float, float, float, float
 ]  # whether there is a value; V, its rate (1/s), its relative rise over a delay

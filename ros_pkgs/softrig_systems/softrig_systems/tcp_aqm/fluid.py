@@ -9,9 +9,8 @@ from softrig_core import jit
 from softrig_core.kit.dde import Trajectory, delayed, integrator
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from softrig_core import Array
 
-    Array = NDArray[np.float64]
 
 # channels of the state; the command is one, held between its jumps, so that the history keeps it too
 WINDOW, QUEUE, DROP, SERVED = 0, 1, 2, 3

@@ -8,13 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, Complex, jit
 from softrig_core.kit import dense
 
 from .parameters import RATES, RigParams
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 ORDER = 4
 CUTOFF = 0.2  # of the sampling rate
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 from softrig_core.kit import floats
 
 from .measurement import Chain
 from .network import Network
 from .simulation import State, advance
 
-Array = NDArray[np.float64]
 Row = tuple[float, ...]
 
 

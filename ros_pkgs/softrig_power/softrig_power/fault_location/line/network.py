@@ -7,15 +7,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array, Complex
 from softrig_core.kit import dense
 
 from ...lines.bergeron import Lines, branch, branch_impedance, discrete_two_port, lines, steady_history
 from ...lines.modal import CLARKE
 from .parameters import FaultParams, RigParams, grounded, phases
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 LEAST_RESISTANCE = 1e-3  # ohm, of a faulted phase and of the star point to ground
 S, R = 0, 1  # terminals
 

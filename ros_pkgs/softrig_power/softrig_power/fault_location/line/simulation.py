@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, jit
 from softrig_core.kit import dense
 
 from ...lines.bergeron import histories, store, together
@@ -17,7 +17,6 @@ from .measurement import Chain, chain, filter_steps, steady_filter
 from .network import Network, line_history, network, steady
 from .parameters import RigParams, phases
 
-Array = NDArray[np.float64]
 CHANNELS = 12  # u_S, i_S, u_R, i_R, three phases each
 BLOCK = 64  # steps that are computed together, so that their values stay in the processor's nearest cache
 

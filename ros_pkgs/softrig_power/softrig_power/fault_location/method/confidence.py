@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import Params, param
+from softrig_core import Array, Params, param
 
 from ..records.record import GROUPS, Record, Status
 from .equations import lagrange
 from .location import Location, Locator, locate
 from .objective import LocatorParams
 
-Array = NDArray[np.float64]
 # The window is cut into this many parts; their locations show the scatter within the record.
 STRETCHES = 8
 

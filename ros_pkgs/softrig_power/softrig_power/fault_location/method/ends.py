@@ -6,14 +6,13 @@ from collections.abc import Callable, Iterator
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 
 from ...lines.modal import AERIAL
 from ..records.record import GROUPS, Record
 from .equations import model, objectives
 from .objective import Objective
 
-Array = NDArray[np.float64]
 # A share of the voltage. Ends that agree this well are wired rightly, so no other wiring is tried.
 WIRED = 1e-3
 # There are many wirings, so each is tried on this fraction of the window first.

@@ -24,12 +24,10 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, jit
 
 from ...lines.section import Section
 
-Array = NDArray[np.float64]
 Equations = Literal[
     "corrected", "printed", "printed_sign", "printed_coefficient", "printed_resistance", "printed_speed"
 ]

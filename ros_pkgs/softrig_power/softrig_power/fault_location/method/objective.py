@@ -7,16 +7,14 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core import Params, param
+from softrig_core import Array, Params, param
 
 from ...lines.modal import AERIAL
 from ..line.parameters import LineParams
 from ..records.record import Record, RecordError, Status
 from .equations import TAPS, Equations, Model, model, objectives
 
-Array = NDArray[np.float64]
 Algorithm = Literal["brent", "woa", "gwo", "integer_grid", "phasor", "travelling_wave"]
 USUAL_TRAVEL = 4.0  # samples of the whole line's travel time, fewer are warned of
 

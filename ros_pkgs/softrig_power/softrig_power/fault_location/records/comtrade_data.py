@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 from softrig_core.kit.file_format import number_of
 
 from .comtrade_cfg import Settings
 
-Array = NDArray[np.float64]
 _KINDS = {"BINARY": "<i2", "BINARY32": "<i4", "FLOAT32": "<f4"}
 _NO_STAMP = 0xFFFFFFFF
 

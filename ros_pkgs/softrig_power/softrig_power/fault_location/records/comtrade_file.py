@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 from softrig_core.kit.file_format import text_of
 
 from .comtrade_cfg import COMTRADE, UNTRUSTED, Analog, Settings, SettingsError, read_settings, sections
@@ -19,7 +19,6 @@ from .comtrade_data import DataError, read_samples, stretch, times
 from .record import Record, RecordError, Status
 from .resample import reach, resampled
 
-Array = NDArray[np.float64]
 Format = Literal["ascii", "binary", "float32"]
 _PHASE = re.compile(r"^L(?=[123])|-?N$")  # what a phase may have before or after its letter: L1, A-N, AN
 _SYSTEMS = ("ABC", "123", "RST", "UVW", "RYB")

@@ -8,10 +8,10 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import Array
 
 from .resample import reach, resampled
 
-Array = NDArray[np.float64]
 GROUPS = ("u_s", "i_s", "u_r", "i_r")
 CHANNELS = tuple(f"{group}/{phase}" for group in GROUPS for phase in "abc")
 COLUMNS = ("t", *CHANNELS)

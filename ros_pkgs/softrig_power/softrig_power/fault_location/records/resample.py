@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import jit
+from softrig_core import Array, jit
 
-Array = NDArray[np.float64]
 HALF = 10.0  # periods of the slower rate, half the width of the kernel
 
 

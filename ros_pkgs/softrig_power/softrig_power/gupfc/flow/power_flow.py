@@ -7,16 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from softrig_core import Params, param
+from softrig_core import Array, Params, param
 from softrig_core.kit import dense
 
 from ..network import BUSES, Network, NetworkParams
 from .dual import Dual
 from .injection import converter_power, series_power
 from .roots import Point, operating_points
-
-Array = NDArray[np.float64]
 
 UNKNOWNS = 18  # |V| of six buses, their angles, real and imaginary part of V12 and of V34, P_sh, Q_sh
 TOLERANCE = 1e-10  # pu

@@ -14,11 +14,9 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from softrig_core import Array
 
     from ..problem import Problem
-
-    Array = NDArray[np.float64]
 
 
 class Collocated(NamedTuple):

@@ -31,12 +31,11 @@ from .tape import evaluate, expand
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from softrig_core import Array
 
     from ..problem import Problem
     from .tape import Tape
 
-    Array = NDArray[np.float64]
 
 NEWTON = 40  # steps at most
 HALVINGS = 12  # of a step that makes the end error larger

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from softrig_core import Array
 
 
 def gauss_legendre(n: int) -> tuple[Array, Array]:

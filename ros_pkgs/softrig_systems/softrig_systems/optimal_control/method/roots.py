@@ -20,11 +20,10 @@ from .tape import Tape, play
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from softrig_core import Array
 
     from ..problem import Problem
 
-    Array = NDArray[np.float64]
 
 SIZES = (0.5, 1.5, 5.0)  # of the starts, in sizes of alpha
 SAME = 1e-6  # relative distance of roots that are one

@@ -17,8 +17,8 @@ from .series import exp_at, log_at, power_at, product_at, quotient_at, sin_cos_a
 if TYPE_CHECKING:
     import casadi as ca
     from numpy.typing import NDArray
+    from softrig_core import Array
 
-    Array = NDArray[np.float64]
     Index = NDArray[np.int64]
 
 CONST, INPUT, ADD, SUB, NEG, MUL, DIV, SIN, COS, EXP, LOG, POWER, PARTNER, COPY = range(14)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from softrig_core import Array
 
 from ..system import PwaSystem
 
-Array = NDArray[np.float64]
 ROUNDING = 1e-9  # of the sizes of its terms, a sum that is zero but for rounding
 
 

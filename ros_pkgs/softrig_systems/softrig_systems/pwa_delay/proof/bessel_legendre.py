@@ -25,9 +25,10 @@ third inequality is again convex in d, and the second one is required without Q.
 from __future__ import annotations
 
 import numpy as np
+from softrig_core import Array
 
 from ..system import PwaSystem
-from .lmi import Array, Problem, Term, quadratic
+from .lmi import Problem, Term, quadratic
 
 
 def bessel_legendre(system: PwaSystem, order: int, *, shortest: float = 1.0, cell_terms: bool = False) -> Problem:

@@ -8,11 +8,12 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
+from softrig_core import Array
 
 from ..system import PwaSystem
 from .applicability import require_equilibrium, require_no_sliding
 from .bessel_legendre import bessel_legendre
-from .lmi import Array, Eigenvalues, Problem
+from .lmi import Eigenvalues, Problem
 from .theorem1 import theorem1
 
 Method = Literal["theorem1", "constant"]

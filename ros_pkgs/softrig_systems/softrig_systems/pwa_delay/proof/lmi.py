@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from softrig_core import Array
 
 TRACE = 1000.0  # the sum of the traces: certificates are rays, this picks a point on each
 SMALLEST = 1e-9  # smallest eigenvalue of a strict inequality, as a share of its largest

@@ -42,9 +42,10 @@ state. It is not valid where the vector field slides along a face, nor for cells
 from __future__ import annotations
 
 import numpy as np
+from softrig_core import Array
 
 from ..system import PwaSystem
-from .lmi import Array, Problem, Term, quadratic
+from .lmi import Problem, Term, quadratic
 
 
 def theorem1(system: PwaSystem, mu: float, *, cell_terms: bool = False) -> Problem:
