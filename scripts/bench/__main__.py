@@ -36,8 +36,9 @@ from . import (
 )
 from .console import console
 from .falsification import table as falsification_table
+from .page import Begin, Page, Tables, page, show, write
 
-PARTS: dict[str, Callable[[], None]] = {
+PARTS: dict[str, Callable[[], Tables | None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
     "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "native": native.print_table,
     "exported_law": exported.print_law, "exported_rigs": exported.print_rigs,
@@ -45,12 +46,18 @@ PARTS: dict[str, Callable[[], None]] = {
     "containers": rigs.containers, "reading": reading.reading,
     "realtime": realtime.realtime, "view": view.view,
     "systems": systems.print_table, "induction": induction.print_table, "machines": machines.print_table,
-    "peers": beside.print_table,
+    "peers": beside.peers,
     "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
     "falsify": falsification_table.print_table, "environment": environment.print_table,
     "places": places.print_table,
 }  # fmt: skip
+
+WARM = "All times are processor time, with code compiled and memory pages mapped by a run before."
+#: The page of each part that has one.
+PAGES: dict[str, Page] = {
+    "peers": page("bringup", "peers", WARM + " softrig has the least of three runs; each library ran once."),
+}
 
 
 def about(part: str) -> str:
@@ -72,15 +79,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help="which of those below; exported: each exported_...")
-    named = parser.parse_args(words).parts
+    parser.add_argument(
+        "--write", action="store_true", help="write the tables of " + ", ".join(PAGES) + " to their pages"
+    )
+    options = parser.parse_args(words)
+    named = options.parts or (list(PAGES) if options.write else list(PARTS))
     parts = [part for word in named for part in ([p for p in PARTS if p.startswith(f"{word}_")] or [word])]
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
-    for part in parts or PARTS:
+    if options.write and (bare := [part for part in parts if part not in PAGES]):
+        parser.error(f"--write: {', '.join(bare)} has no page; {', '.join(PAGES)} have one")
+    for part in parts:
         console.print(f"\n[bold]{part}[/]: {about(part)}")
-        begin = time.monotonic()
-        PARTS[part]()
+        begin, begun = time.monotonic(), Begin.now()
+        tables = PARTS[part]() or {}
+        for table in tables.values():
+            show(table)
+        if options.write:
+            write(PAGES[part], tables, f"scripts/softrig bench {part} --write", begun)
         console.print(f"{part} took {time.monotonic() - begin:.0f} s")
     return 0
 

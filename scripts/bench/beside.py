@@ -4,55 +4,51 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
-from softrig_core import Recording, Rig, Signals, rig_of, run_inprocess
+from softrig_control.fmu.export import export
+from softrig_core import Signals, rig_of
 from softrig_power.pv.module import ModuleParams, cell
 from softrig_robots.urdf import read_urdf
 
 from . import induction, machines
-from .console import console
-from .induction import MANY
-from .peers import asked
+from .beside_grid import gupfc, rectifier
+from .page import Table, Tables, show
+from .peers import Row, farthest, peer, run, version
 from .timing import least
 
+STATE = ("motor/state/shaft/position", "motor/state/shaft/velocity", "motor/sensors/current_a/position")
 SWITCHED = 0.5  # s of the induction motor, before its load comes
-
-
-class Row(NamedTuple):
-    """A system beside a peer; CPU in s of the same work, distance of the end states in a unit and its limit."""
-
-    system: str
-    peer: str
-    work: str
-    ours: float
-    theirs: float
-    apart: float
-    allowed: float
-    unit: str
-
-
-def run(rig: Rig) -> tuple[Signals, float]:
-    """Run a rig natively with everything recorded; return its signals and the least CPU time of several runs, s."""
-    topics = [(t, p.msgtype) for t, p in rig.topics.items()]
-    recording = Recording(topics)
-    run_inprocess(rig, 1, recording, runs=MANY)
-    return Signals(recording), least(lambda: run_inprocess(rig, 1, Recording(topics), runs=MANY), 3)
-
-
-def peer(name: str, given: Any) -> Any:
-    """Run a function of `beside_peers` with the Python of ``SOFTRIG_PEERS``, else with ours; None if both lack it."""
-    pythons = dict.fromkeys((os.environ.get("SOFTRIG_PEERS", sys.executable), sys.executable))
-    result = (asked("beside_peers", name, given, python, name) for python in pythons)
-    return next((one for one in result if one is not None), None)
-
-
-def farthest(end: Any, ours: Any) -> float:
-    """Return the largest distance of two end states."""
-    return float(np.abs(np.asarray(end) - np.asarray(ours)).max())
+FMU_RIG = """
+title: The DC motor as an FMU under its sliding-mode controller
+system: dc_motor
+source: bench peers
+duration: 3.0
+nodes:
+  motor_plant:
+    package: softrig_control
+    executable: fmu_plant
+    parameters:
+      period: {period}
+      fmu: {path}
+      isolated: false
+      inputs: [motor/command/armature/effort = motor.command.armature.effort]
+      outputs: [{outputs}]
+  motor_reference:
+    package: softrig_control
+    executable: reference_source
+    parameters: {{period: 0.1, velocities: [1.0]}}
+    remap: {{reference: motor/reference}}
+  dc_motor_smc:
+    package: softrig_drives
+    executable: dc_motor_smc
+    parameters: {{period: {period}}}
+figures: {{}}
+"""
 
 
 def dc_motor(library: str, allowed: float) -> Row | None:
@@ -61,17 +57,41 @@ def dc_motor(library: str, allowed: float) -> Row | None:
     signals, ours = run(rig)
     plant = next(m.params for m in rig.members if m.is_plant)
     names = ("R", "L", "J", "b", "Kt", "Ke")
-    given = {name: getattr(plant, name) for name in names} | {"period": plant.period}
-    given["voltage"] = signals["motor/command/armature/effort"].x.tolist()
+    with tempfile.TemporaryDirectory() as folder:
+        given = {name: getattr(plant, name) for name in names}
+        given |= {"fmu": str(export(rig, "dc_motor_plant", Path(folder), 2))} if library == "fmpy" else {}
+        return _motor("dc_motor_smc", library, allowed, ours, given | {"period": plant.period}, signals)
+
+
+def _motor(
+    system: str, library: str, allowed: float, ours: float, given: dict[str, Any], signals: Signals
+) -> Row | None:
+    """Run the motor in a library under the recorded voltages."""
+    given = given | {"voltage": signals["motor/command/armature/effort"].x.tolist(), "state": list(map(_fmi, STATE))}
     if (result := peer(library, given)) is None:
         return None
     k = len(given["voltage"]) - 1
-    state = [signals[f"motor/state/shaft/{field}"].x[k] for field in ("position", "velocity")]
-    state.append(signals["motor/sensors/current_a/position"].x[k])
-    work = f"{k} periods of held voltage"
-    return Row(
-        "dc_motor_smc", library, work, ours, result["cpu_s"], farthest(result["end"], state), allowed, "SI units"
-    )
+    apart = farthest(result["end"], [signals[name].x[k] for name in STATE])
+    return Row(system, f"{k} periods of held voltage", ours, result["cpu_s"], apart, allowed, "SI units")
+
+
+def fmu(library: str, allowed: float) -> Row | None:
+    """The DC motor as an FMU of C: as the plant of a rig, and in the library under the voltages of that rig."""
+    known = rig_of("dc_motor_smc")
+    period = next(m.params for m in known.members if m.is_plant).period
+    with tempfile.TemporaryDirectory() as folder:
+        path = str(export(known, "dc_motor_plant", Path(folder), 2))
+        outputs = [*STATE, "motor/state/shaft/effort", "motor/sensors/encoder_count/position"]
+        scenario = Path(folder, "motor_fmu.yaml")
+        listed = ", ".join(f"{name} = {_fmi(name)}" for name in outputs)
+        scenario.write_text(FMU_RIG.format(period=period, path=path, outputs=listed))
+        signals, ours = run(rig_of(str(scenario)))
+        return _motor("dc_motor_plant as an FMU", library, allowed, ours, {"period": period, "fmu": path}, signals)
+
+
+def _fmi(signal: str) -> str:
+    """Return the name of a signal in an exported FMU."""
+    return signal.replace("/", ".")
 
 
 def arm(library: str, allowed: float) -> Row | None:
@@ -95,7 +115,7 @@ def arm(library: str, allowed: float) -> Row | None:
     state = [signals[name].x[len(torques)] for name in fields]
     work = f"{len(torques)} periods of held torque, Runge-Kutta of the same step"
     apart = farthest(result["end"], state)
-    return Row("arm_computed_torque", library, work, ours, result["cpu_s"], apart, allowed, "rad, rad/s")
+    return Row("arm_computed_torque", work, ours, result["cpu_s"], apart, allowed, "rad, rad/s")
 
 
 def pv_string(library: str, allowed: float) -> Row | None:
@@ -119,7 +139,7 @@ def pv_string(library: str, allowed: float) -> Row | None:
         return None
     apart = farthest(result["end"], np.concatenate(currents))
     work = f"{len(given['V'])} points of the single-diode equation"
-    return Row("pv_mppt", library, work, ours, result["cpu_s"], apart, allowed, "A")
+    return Row("pv_mppt", work, ours, result["cpu_s"], apart, allowed, "A")
 
 
 def drive(name: str, allowed: float) -> Row | None:
@@ -127,9 +147,9 @@ def drive(name: str, allowed: float) -> Row | None:
     python = os.environ.get("SOFTRIG_PEERS", sys.executable)
     if (result := machines.beside(name, python, 0.5)) is None:
         return None
-    work = "a second of held duty ratios (distance: at a tolerance of 1e-11)"
+    work = "1 s of held duty ratios (difference: at a tolerance of 1e-11)"
     apart = max(result.current, result.speed)
-    return Row(name, "motulator", work, result.ours, result.theirs, apart, allowed, "A, rad/s")
+    return Row(name, work, result.ours, result.theirs, apart, allowed, "A, rad/s")
 
 
 def switched(library: str, allowed: float) -> Row | None:
@@ -139,32 +159,46 @@ def switched(library: str, allowed: float) -> Row | None:
     if (apart := induction.agreement(python, SWITCHED, tight)) is None:
         return None
     theirs = induction.peer(library, induction.switching(SWITCHED)[0], python) or {"cpu_s": np.nan}
-    work = f"{SWITCHED} s of switching states (motulator's distance: at a tolerance of 1e-8)"
-    return Row(
-        "induction_dtc", library, work, induction.natively(SWITCHED), theirs["cpu_s"], apart, allowed, "Wb, rad/s"
-    )
+    work = f"{SWITCHED} s of switching states"
+    work += " (difference: at a tolerance of 1e-8)" if tight != library else ""
+    return Row("induction_dtc", work, induction.natively(SWITCHED), theirs["cpu_s"], apart, allowed, "Wb, rad/s")
+
+
+class Peer(NamedTuple):
+    """A comparison: its function and what it is to run, the peer as a table names it, its package, the limit."""
+
+    compare: Callable[[str, float], Row | None]
+    name: str
+    title: str
+    package: str
+    allowed: float
 
 
 #: What is compared, and how far apart the end states may be: both solve the same equations, so only the integration
 #: differs. Its order is that of the table.
-ROWS: tuple[tuple[Callable[[str, float], Row | None], str, float], ...] = (
-    (dc_motor, "python_control", 1e-9),
-    (dc_motor, "scipy_ivp", 1e-7),
-    (drive, "pmsm_foc", 1e-9),
-    (drive, "im_foc", 1e-9),
-    (drive, "im_vhz", 1e-9),
-    (drive, "pmsm_foc_synrm_gem", 1e-9),
-    (switched, "motulator", 1e-6),
+ROWS = (
+    Peer(dc_motor, "python_control", "python-control {}, `forced_response`", "control", 1e-9),
+    Peer(dc_motor, "scipy_ivp", "scipy {}, `solve_ivp` at 1e-9", "scipy", 1e-7),
+    Peer(dc_motor, "fmpy", "FMPy {}, softrig's plant as an FMU", "fmpy", 1e-12),
+    Peer(fmu, "fmpy", "FMPy {}, without a controller", "fmpy", 1e-12),
+    Peer(drive, "pmsm_foc", "motulator {}", "motulator", 1e-9),
+    Peer(drive, "im_foc", "motulator {}", "motulator", 1e-9),
+    Peer(drive, "im_vhz", "motulator {}", "motulator", 1e-9),
+    Peer(drive, "pmsm_foc_synrm_gem", "motulator {}", "motulator", 1e-9),
+    Peer(switched, "motulator", "motulator {}", "motulator", 1e-6),
     # It has Euler's method at 50 us only, which is first order.
-    (switched, "gym-electric-motor", 5e-2),
-    (pv_string, "pvlib", 1e-9),
-    (arm, "mujoco", 1e-9),
-    (arm, "pinocchio", 1e-9),
+    Peer(switched, "gym-electric-motor", "gym-electric-motor {}, Euler at 50 us", "gym_electric_motor", 5e-2),
+    Peer(rectifier, "motulator_grid", "motulator {}, its grid converter", "motulator", 1e-6),
+    Peer(gupfc, "pandapower", "pandapower {}, `run_timeseries`", "pandapower", 1e-8),
+    Peer(pv_string, "pvlib", "pvlib {}, `i_from_v`", "pvlib", 1e-9),
+    Peer(arm, "mujoco", "MuJoCo {}", "mujoco", 1e-9),
+    Peer(arm, "pinocchio", "pinocchio {}, `aba`", "pin", 1e-9),
 )
+HEADS = ("system", "library", "the same work", "softrig, CPU s", "library, CPU s", "ratio", "difference", "allowed")
 
 
-def print_table() -> None:
-    """Rigs beside peers of the same work (motulator, MuJoCo, pvlib ...): distance of the end states, CPU time.
+def peers() -> Tables:
+    """Rigs beside peers of the same work (motulator, MuJoCo, pandapower ...): distance of the end states, CPU time.
 
     ``SOFTRIG_PEERS`` in the environment: an interpreter that has them.
 
@@ -173,24 +207,23 @@ def print_table() -> None:
     RuntimeError
         A peer ended farther away than its row allows: one of the two got another input or solves other equations.
     """
-    table = Table("system", "peer", "the same work", "ours, CPU s", "theirs", "times", "apart by", "allowed")
+    table: Table = [HEADS]
     wrong = []
-    for compare, name, allowed in ROWS:
+    for compare, name, title, package, allowed in ROWS:
         row = compare(name, allowed)
         if row is None:
-            table.add_row(compare.__name__, name, "not installed", *[""] * 5)
+            table.append((compare.__name__, name, "not installed", *[""] * 5))
             continue
         figures = (
             f"{row.ours:.3g}",
             f"{row.theirs:.3g}",
-            f"{row.theirs / row.ours:.3g}",
+            f"{row.theirs / row.ours:,.{1 if row.theirs < 10.0 * row.ours else 0}f}",
             f"{row.apart:.1e} {row.unit}",
         )
-        table.add_row(row.system, row.peer, row.work, *figures, f"{row.allowed:.0e}")
+        table.append((f"`{row.system}`", title.format(version(package)), row.work, *figures, f"{row.allowed:.0e}"))
         if not row.apart <= row.allowed:
-            wrong.append(
-                f"{row.peer} ends {row.apart:.3g} {row.unit} from {row.system}, expected at most {row.allowed:g}"
-            )
-    console.print(table)
+            wrong.append(f"{name} ends {row.apart:.3g} {row.unit} from {row.system}, expected at most {row.allowed:g}")
     if wrong:
+        show(table)
         raise RuntimeError("; ".join(wrong))
+    return {"peers": table}

@@ -11,11 +11,10 @@ import numpy as np
 from softrig_core import Recording, Rig, Signals, load_scenario, rig_of, run_inprocess
 
 from .induction_peers import LEGS
-from .peers import asked
+from .peers import MANY, asked
 from .timing import cpu
 
 ROUNDS = 3
-MANY = 10_000  # runs, for which native code is worth its making
 PEERS = {
     "motulator": "motulator, fed our switching, rtol 1e-3",
     "motulator-tight": "motulator, fed our switching, rtol 1e-8",

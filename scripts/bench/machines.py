@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from softrig_core import Recording, Signals, load_scenario, rig_of, run_inprocess
 
-from .induction import MANY
-from .peers import asked
+from .peers import MANY, asked
 from .timing import cpu
 
 # all shipped sets of constants; a saturated machine is interpolated by other formulas there

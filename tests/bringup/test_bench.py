@@ -1,15 +1,17 @@
 """The benchmark of a checkout: its parts run and print their tables; peers that are missing or fail are reported."""
 
 import os
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
-from bench import against, beside, induction, machines, native, places, realtime, rectifier, systems
+from bench import against, beside, induction, machines, native, page, places, realtime, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_core import ScenarioError, bits
 from softrig_drives.induction_dtc.switching import VECTORS
@@ -119,20 +121,66 @@ def test_the_duty_ratios_of_a_drive_are_those_of_its_periods():
 
 
 @pytest.mark.long
-def test_installed_libraries_end_where_our_rigs_do():
-    """python-control and scipy come with the tests; the DC motor is implemented again in `beside_peers`."""
-    row = beside.dc_motor("python_control", 1e-9)
+@pytest.mark.parametrize(
+    ("compare", "library", "package", "allowed"),
+    [
+        (beside.dc_motor, "python_control", "control", 1e-9),
+        (beside.fmu, "fmpy", "fmpy", 1e-12),
+        (beside.rectifier, "motulator_grid", "motulator", 1e-6),
+    ],
+)
+def test_installed_libraries_end_where_our_rigs_do(compare, library, package, allowed):
+    """Most of them come with the tests; the plants are implemented again in `beside_peers`."""
+    pytest.importorskip(package)
+    row = compare(library, allowed)
     assert row.apart < row.allowed
 
 
 def test_a_peer_that_ends_elsewhere_is_an_error(monkeypatch):
-    near = beside.Row("a", "b", "work", 1.0, 2.0, 1e-10, 1e-9, "A")
-    monkeypatch.setattr(beside, "ROWS", [(lambda *_: near, "b", 1e-9), (lambda *_: None, "c", 1e-9)])
-    beside.print_table()
+    near = beside.Row("a", "work", 1.0, 2.0, 1e-10, 1e-9, "A")
+    monkeypatch.setattr(beside, "version", lambda package: "7")
+    known = beside.Peer(lambda *_: near, "b", "b {}, fast", "b", 1e-9)
+    monkeypatch.setattr(beside, "ROWS", [known, known._replace(compare=lambda *_: None, name="c")])
+    rows = beside.peers()["peers"][1:]
+    assert rows[0] == ("`a`", "b 7, fast", "work", "1", "2", "2.0", "1.0e-10 A", "1e-09")
+    assert rows[1][1:3] == ("c", "not installed")
     far = near._replace(apart=float("nan"))
-    monkeypatch.setattr(beside, "ROWS", [(lambda *_: far, "b", 1e-9)])
+    monkeypatch.setattr(beside, "ROWS", [known._replace(compare=lambda *_: far)])
     with pytest.raises(RuntimeError, match="b ends nan A from a, expected at most 1e-09"):
-        beside.print_table()
+        beside.peers()
+
+
+def test_a_table_is_written_between_its_marks_with_its_conditions(monkeypatch, tmp_path, capsys):
+    """Marks, line and table replace what was there; a part without a page, and a page without the mark, are refused."""
+    lab = tmp_path / "lab.md"
+    lab.write_text("# Lab\n<!-- bench: peers -->\nold\n<!-- end -->\nkept\n<!-- bench: other -->\n<!-- end -->\n")
+    monkeypatch.setattr(page, "ROOT", tmp_path)
+    monkeypatch.setattr(page, "_commit", lambda: "c0ffee12")
+    monkeypatch.setitem(sys.modules["bench.__main__"].PAGES, "peers", page.Page(lab, "CPU time, warm."))
+    part = Mock(return_value={"peers": [("a", "b"), ("1", "2")]}, __doc__="About.")
+    monkeypatch.setitem(PARTS, "peers", part)
+    assert main(["peers"]) == 0
+    assert "old" in lab.read_text()  # it is written only if asked
+    assert main(["peers", "--write"]) == 0
+    head, mark, line, blank, *rest = lab.read_text().splitlines()
+    assert (head, mark, blank) == ("# Lab", "<!-- bench: peers -->", "")
+    assert re.fullmatch(
+        r"Written by `scripts/softrig bench peers --write` on \d{4}-\d\d-\d\d \d\d:\d\d UTC at c0ffee12; "
+        r"\d+ cores of .+; load [\d.]+ at the begin and [\d.]+ at the end\. CPU time, warm\.",
+        line,
+    )
+    assert rest == ["| a | b |", "| --- | --- |", "| 1 | 2 |", "<!-- end -->", "kept", "<!-- bench: other -->",
+                    "<!-- end -->"]  # fmt: skip
+    with pytest.raises(ValueError, match="has 0 parts `<!-- bench: none -->`, expected one"):
+        page.write(page.Page(lab, ""), {"none": [("a",)]}, "", page.Begin.now())
+    with pytest.raises(SystemExit):
+        main(["environment", "--write"])
+    assert "--write: environment has no page; peers" in capsys.readouterr().err
+
+
+def test_each_page_has_the_marks_of_its_part():
+    for part, known in sys.modules["bench.__main__"].PAGES.items():
+        assert f"bench {part} --write" in known.path.read_text(), part
 
 
 @pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
