@@ -60,13 +60,13 @@ class Base:
         self.discards = self.ended = False
         self.temporaries = 0
 
-    def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
+    def unknown(self, construct: str, node: ast.AST | None = None) -> NotNative:
         """Return the part that C does not support here."""
         if not isinstance(self.function, str):
             line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
-            return NotNative(f"{self.origin}, line {line}: {what}")
+            return NotNative(f"{self.origin}, line {line}: {construct}")
         shown = "" if node is None or isinstance(node, ast.FunctionDef) else f" in `{ast.unparse(node)[:SHOWN]}`"
-        return NotNative(f"{self.origin}: {what}{shown}")
+        return NotNative(f"{self.origin}: {construct}{shown}")
 
     def emit(self, line: str) -> None:
         """Add a line of C."""
@@ -91,8 +91,8 @@ class Base:
         In the text the names of Python begin with ``v_``; others (``n``) are those of the text itself.
         """
         if use != "t" and isinstance(self.function, str):
-            name, own = name.removeprefix("v_"), name.startswith("v_")
-            use = use if own else f"n{use}"
+            name, prefixed = name.removeprefix("v_"), name.startswith("v_")
+            use = use if prefixed else f"n{use}"
         return used_as(use, name)
 
     def _carried(self, name: str) -> str:
@@ -144,13 +144,13 @@ class Base:
             inner = self.coerced(value, kind.item)
             return Value(kind, f"({self.unit.c(kind)}){{ .some = true, .item = {inner.c} }}")
         if isinstance(kind, Maybe) and isinstance(value.kind, Maybe):
-            one = self.named(value)
-            inner = self.coerced(Value(value.kind.item, f"{one.c}.item"), kind.item)
-            return Value(kind, f"({self.unit.c(kind)}){{ .some = {one.c}.some, .item = {inner.c} }}")
+            v = self.named(value)
+            inner = self.coerced(Value(value.kind.item, f"{v.c}.item"), kind.item)
+            return Value(kind, f"({self.unit.c(kind)}){{ .some = {v.c}.some, .item = {inner.c} }}")
         if isinstance(value.kind, Maybe):  # it must be there
-            one = self.named(value)
-            self._check(f"!{one.c}.some")
-            return self.coerced(Value(value.kind.item, f"{one.c}.item"), kind)
+            v = self.named(value)
+            self._check(f"!{v.c}.some")
+            return self.coerced(Value(value.kind.item, f"{v.c}.item"), kind)
         if isinstance(kind, Tuple) and isinstance(value.kind, Tuple) and len(kind.items) == len(value.kind.items):
             parts = [self.coerced(p, k) for p, k in zip(self.parts(value, self.tree), kind.items, strict=True)]
             return self.group(parts, kind)
@@ -166,13 +166,13 @@ class Base:
         return Value(kind, f"({self.unit.c(kind)}){{ {inner or '0'} }}")
 
     @staticmethod
-    def item(table: Value, place: int | str) -> Value:
+    def item(table: Value, index: int | str) -> Value:
         """Return an item of an array, or a row of one with several dimensions."""
         assert isinstance(table.kind, Table)
         if len(table.kind.shape) == 1:
-            return Value(table.kind.item, f"{table.c}[{place}]")
+            return Value(table.kind.item, f"{table.c}[{index}]")
         row = Table(table.kind.item, table.kind.shape[1:])
-        return Value(row, f"(&{table.c}[{place} * {row.size}])")
+        return Value(row, f"(&{table.c}[{index} * {row.size}])")
 
     def room(self, kind: Table) -> Value:
         """Return a new array: on the stack, or in the node's struct if the function may return it."""
@@ -211,9 +211,9 @@ class Base:
         if isinstance(value.kind, Tuple):
             if value.c in self.unit.fixed:
                 return self.parts_of(self.unit.fixed[value.c], node)
-            one = self._simple(value)
+            whole = self._simple(value)
             return [
-                Value(k, "0" if isinstance(k, Absent) else f"{one.c}.{identifier(n)}")
+                Value(k, "0" if isinstance(k, Absent) else f"{whole.c}.{identifier(n)}")
                 for k, n in zip(value.kind.items, value.kind.names, strict=True)
             ]
         if isinstance(value.kind, Table):
@@ -225,7 +225,7 @@ class Base:
         fixed = isinstance(table.thing, np.ndarray) or isinstance(item.kind, Table)
         return item if fixed else self.fresh(item.kind, item.c)
 
-    def parts_of(self, thing: Any, node: ast.AST) -> list[Value]:
+    def parts_of(self, value: Any, node: ast.AST) -> list[Value]:
         """Return the parts of a constant tuple."""
         raise NotImplementedError
 

@@ -78,11 +78,11 @@ def check_class(member: Member) -> None:
     NotNative
         It is such a class: names it.
     """
-    of = member.block_class
-    title = _place_of(of)
-    if issubclass(of, Solver):
+    cls = member.block_class
+    title = _place_of(cls)
+    if issubclass(cls, Solver):
         raise NotNative(f"{title}: it is a solver, whose work runs in a process of its own")
-    if issubclass(of, Deciding):
+    if issubclass(cls, Deciding):
         raise NotNative(f"{title}: it leaves some ticks to Python (`decides`)")
 
 
@@ -94,8 +94,8 @@ def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, se
     NotNative
         What of it cannot be C: names its class and the line.
     """
-    of = member.block_class
-    title = f"{of.__module__}.{of.__qualname__}"
+    cls = member.block_class
+    title = f"{cls.__module__}.{cls.__qualname__}"
     refusal = NotNative()
     # A drawn call may lack an input that each call of the run has. If the block has no C for that, it is exported from
     # calls that have it.
@@ -114,14 +114,14 @@ def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, se
     text = str(refusal)
     if text.startswith(f"{title}."):
         raise refusal
-    raise NotNative(f"{_place_of(of)}: {text}")
+    raise NotNative(f"{_place_of(cls)}: {text}")
 
 
-def _place_of(of: type) -> str:
+def _place_of(cls: type) -> str:
     """Return the name of a class, and its line if it has a file; a generated class has none."""
-    title = f"{of.__module__}.{of.__qualname__}"
+    title = f"{cls.__module__}.{cls.__qualname__}"
     try:
-        return f"{title}, line {inspect.getsourcelines(of)[1]}"
+        return f"{title}, line {inspect.getsourcelines(cls)[1]}"
     except (OSError, TypeError):
         return title
 
@@ -197,11 +197,11 @@ class _Files:
             constants[k] = Value(kind_of(self.values[k]), f"s->k.{self.fields[k]}")
         for word, k in self.words.items():
             constants[k] = Value(REAL, word)
-        places = {p.at: k for k, p in enumerate(self.law.reports.places)}
+        indices = {p.at: k for k, p in enumerate(self.law.reports.places)}
         program = self.law.program
         casadi = {name: program.names[f"{name}_there"] for name in program.callers.values()}
         self.draws = {name: follow(path, [block, block]) for path, name in program.draws.items()}
-        self.unit = Unit(self.name, Reader, self.law.texts, program.names, constants, places, casadi=casadi)
+        self.unit = Unit(self.name, Reader, self.law.texts, program.names, constants, indices, casadi=casadi)
         self.unit.by_name |= self.draws
         self.unit.fixed |= {word: self.values[k] for word, k in self.words.items()}
         self.forms = self.law.states
@@ -230,19 +230,19 @@ class _Files:
     def _replayable(self, golden: Sequence[Call | Changed]) -> tuple[Sequence[Call | Changed], str]:
         """Return the calls up to the first that C does not support (a change, or a kept value), and the reason."""
         at_hand = keys_of(self.block)
-        for k, one in enumerate(golden):
+        for k, call in enumerate(golden):
             # C has a kept answer for one value and discards a call that asks for another one; Python's next rows would
             # follow from a state that C does not have.
-            if isinstance(one, Call) and asks_anew(one, at_hand):
+            if isinstance(call, Call) and asks_anew(call, at_hand):
                 paths = ", ".join(sorted(written(path) for path in self.law.program.newest))
-                return golden[:k], f"the rows end at {one.t / 1e9:g} s: {paths} is asked for another value"
-            if isinstance(one, Changed):
-                fixed = sorted(one.names - self.settable.keys())
-                if fixed or (one.moved and not self.goes_on):
+                return golden[:k], f"the rows end at {call.t / 1e9:g} s: {paths} is asked for another value"
+            if isinstance(call, Changed):
+                fixed = sorted(call.names - self.settable.keys())
+                if fixed or (call.moved and not self.goes_on):
                     why = (
                         f"{', '.join(fixed)} changed, which is compiled in" if fixed else "the state changed with them"
                     )
-                    return golden[:k], f"the rows end at {one.t / 1e9:g} s: {why}"
+                    return golden[:k], f"the rows end at {call.t / 1e9:g} s: {why}"
         return golden, ""
 
     # reading ------------------------------------------------------------------------------------------------------
@@ -372,19 +372,19 @@ class _Files:
             ]
         return "\n".join([*lines, "#ifdef __cplusplus", "}", "#endif", "", "#endif", ""])
 
-    def _struct(self, name: str, arrays: Mapping[str, Table], what: str) -> list[str]:
+    def _struct(self, name: str, arrays: Mapping[str, Table], purpose: str) -> list[str]:
         if not arrays:
             return []
         inner = [f"        {self.unit.c(t.item)} {n}[{max(t.size, 1)}];" for n, t in arrays.items()]
-        return ["    struct {", *inner, f"    }} {name}; /**< {what} */"]
+        return ["    struct {", *inner, f"    }} {name}; /**< {purpose} */"]
 
     def _heads(self) -> dict[str, str]:
         n = self.name
-        given, out = f"const {n}_in *in", f"{n}_out *out"
+        inputs, outputs = f"const {n}_in *in", f"{n}_out *out"
         heads = {
-            "update": f"int {n}_step({n} *s, {given}, {out}, int64_t t_ns)",
-            "outputs": f"int {n}_outputs({n} *s, {out}, int64_t t_ns)",
-            "advance": f"int {n}_advance({n} *s, {given}, int64_t t_ns)",
+            "update": f"int {n}_step({n} *s, {inputs}, {outputs}, int64_t t_ns)",
+            "outputs": f"int {n}_outputs({n} *s, {outputs}, int64_t t_ns)",
+            "advance": f"int {n}_advance({n} *s, {inputs}, int64_t t_ns)",
         }
         return {method: heads[method] for method in self.methods}
 
@@ -556,18 +556,18 @@ class _Files:
         return "\n".join([*lines, "    s->reported = false;", "}", ""])
 
     def _way(self, form: Form, root: Any) -> list[str]:
-        there = [p for p in self.inputs if form.method not in ("outputs", "go_on")]
+        present = [p for p in self.inputs if form.method not in ("outputs", "go_on")]
         tests = [f"s->form == {self.forms.index(form.state)}u"] if len(self.forms) > 1 else []
-        for port in there:
+        for port in present:
             if port.held:
                 tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
-        given = ["s", *(["x"] if not isinstance(form.state, Absent) else []), *["t_ns"] * (form.method != "go_on")]
-        for port in there:
+        args = ["s", *(["x"] if not isinstance(form.state, Absent) else []), *["t_ns"] * (form.method != "go_on")]
+        for port in present:
             if port.name in form.there:
                 name = identifier(port.name)
                 numbers = ", ".join(f"in->{name}[{i}]" for i in range(port.size)) or "0"
                 stamped = f"in->{name}_stamp_ns, {{ {numbers} }}" if port.delayed else numbers
-                given.append(f"({self.unit.c(input_kind(port))}){{ {stamped} }}")
+                args.append(f"({self.unit.c(input_kind(port))}){{ {stamped} }}")
         # A call stores the next state, whose form a later test may fit: only the first that fits may answer.
         lines = [f"if ({' && '.join(['!known', *(f'({t})' for t in tests)])}) {{", "    known = true;"]
         k = self.forms.index(form.state)
@@ -576,7 +576,7 @@ class _Files:
             # A call works on a copy of the arrays, because a discarded one must leave the state unchanged.
             lines.append(f"    memcpy(s->b.{_store(path)}, s->a.{_store(path)}, sizeof s->b.{_store(path)});")
             lines.append(f"    x{path} = s->b.{_store(path)};")
-        lines.append(f"    {self.unit.c(root.result)} r = {root.name}({', '.join(given)});")
+        lines.append(f"    {self.unit.c(root.result)} r = {root.name}({', '.join(args)});")
         inner = ["(void)r;"]
         state: Value | None = None
         if form.method in ("advance", "go_on"):
@@ -605,18 +605,18 @@ class _Files:
         lines: list[str] = []
         checks: list[str] = []
         for port in self.outputs:
-            name, at = identifier(port.name), ""
+            name, flag_ = identifier(port.name), ""
             if port.sporadic:
-                at = f"{row.c}.{next(names)}"
-                lines.append(f"out->has_{name} = ({at} != SR_REAL(0));")
+                flag_ = f"{row.c}.{next(names)}"
+                lines.append(f"out->has_{name} = ({flag_} != SR_REAL(0));")
             if port.delayed:
                 lines.append(f"out->{name}_stamp_ns = {stamps.c}.{next(stamped)};")
             for i, limit in enumerate(port.limits):
                 c = f"{row.c}.{next(names)}"
                 lines.append(f"out->{name}[{i}] = {c};")
                 if not port.unchecked:
-                    inside = f"SR_MATH(fabs)({c}) <= {literal(limit)}"
-                    checks.append(f"(({at} == SR_REAL(0)) || ({inside}))" if at else f"({inside})")
+                    bounded = f"SR_MATH(fabs)({c}) <= {literal(limit)}"
+                    checks.append(f"(({flag_} == SR_REAL(0)) || ({bounded}))" if flag_ else f"({bounded})")
         if checks:
             # The function that the user calls replaces the outputs of a discarded tick by safe values.
             lines += [f"if (SR_RARELY(!({' && '.join(checks)}))) {{", "    s->discarded = true;", "}"]
@@ -726,9 +726,9 @@ class _Files:
             ]
         sets = []
         for name, (k, *_) in self.settable.items():
-            kind, own = self.unit.c(kind_of(self.values[k])), identifier(name)
+            kind, field = self.unit.c(kind_of(self.values[k])), identifier(name)
             scanned = "number(&at)" if kind == "real_t" else f"({kind})strtoll(at, &at, 10)"
-            sets.append(f"            params.{own} = {scanned};")
+            sets.append(f"            params.{field} = {scanned};")
         channels = sum(p.size for p in self.outputs)
         words = {"n": n, "upper": n.upper(), "channels": channels}
         return _REPLAY.format(sets="\n".join(sets), cases="\n".join(cases), **words)
@@ -926,13 +926,13 @@ def numbers_of(ports: Sequence[Port], values: Mapping[str, Any], flag: str) -> l
     """Return how the golden rows contain the values of ports; ports that may be absent have a flag."""
     row = []
     for port in ports:
-        given = values.get(port.name)
+        value = values.get(port.name)
         if getattr(port, flag):
-            row.append(str(int(given is not None)))
+            row.append(str(int(value is not None)))
         if port.delayed:
-            row.append(str(0 if given is None else given.stamp))
-            given = None if given is None else given.data
-        row += [float(v).hex() for v in (given if given is not None else (0.0,) * port.size)]
+            row.append(str(0 if value is None else value.stamp))
+            value = None if value is None else value.data
+        row += [float(v).hex() for v in (value if value is not None else (0.0,) * port.size)]
     return row
 
 
@@ -988,26 +988,26 @@ def _settable(
     for name, value in known.items():
         if name not in live or type(value) not in (int, float) or value not in values:
             continue
-        other, now = _moved(block, known, name)
-        if other is None or law.program.differs([other, block]):
+        changed, now = _moved(block, known, name)
+        if changed is None or law.program.differs([changed, block]):
             continue
-        others = [as_slot(follow(p, [other, block])) for p in slots]
-        moved = tuple(k for k, (a, b) in enumerate(zip(values, others, strict=True)) if a != b)
-        repeated = all(values[k] == value and others[k] == now and type(values[k]) is type(value) for k in moved)
+        altered = [as_slot(follow(p, [changed, block])) for p in slots]
+        moved = tuple(k for k, (a, b) in enumerate(zip(values, altered, strict=True)) if a != b)
+        repeated = all(values[k] == value and altered[k] == now and type(values[k]) is type(value) for k in moved)
         tables = all(
-            np.array_equal(np.asarray(follow(p, [block, block])), np.asarray(follow(p, [other, block])))
+            np.array_equal(np.asarray(follow(p, [block, block])), np.asarray(follow(p, [changed, block])))
             for p in law.program.arrays
         )
-        if moved and repeated and tables and _stay(other, block, states) and other.first() == first:
+        if moved and repeated and tables and _stay(changed, block, states) and changed.first() == first:
             result[name] = moved
     return result
 
 
-def _stay(other: Block, block: Block, states: Sequence[Any]) -> bool:
+def _stay(changed: Block, block: Block, states: Sequence[Any]) -> bool:
     """Return whether a block uses the same states after one of its parameters has changed."""
     try:
         # By their text, in which NaN equals NaN and 0.0 differs from -0.0.
-        return all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
+        return all(repr(changed.go_on(x, block.p)) == repr(x) for x in states)
     # Whatever a user's code raises: a run cannot change that parameter, either.
     except Exception:
         return False
@@ -1017,11 +1017,11 @@ def _moved(block: Block, known: Mapping[str, Any], name: str) -> tuple[Block | N
     """Return a block with one parameter moved within its bounds, and its value; None if no other value is accepted."""
     value = known[name]
     for factor in SHIFTS:
-        other = type(value)(value * factor) if value else type(value)(factor)
-        if other == value:
-            other = value + 1
+        changed = type(value)(value * factor) if value else type(value)(factor)
+        if changed == value:
+            changed = value + 1
         try:
-            return type(block)(build(type(block.p), {**known, name: other}), name=block.name), other
+            return type(block)(build(type(block.p), {**known, name: changed}), name=block.name), changed
         except (ParameterError, RunError, TypeError, ValueError):
             continue
     return None, value
@@ -1050,7 +1050,7 @@ def _arrays(value: Any, path: str = "") -> list[tuple[str, Any]]:
     if not isinstance(value, (tuple, list)):
         return []
     names = getattr(value, "_fields", None) or [f"f{k}" for k in range(len(value))]
-    return [one for n, v in zip(names, value, strict=True) for one in _arrays(v, f"{path}.{identifier(n)}")]
+    return [item for n, v in zip(names, value, strict=True) for item in _arrays(v, f"{path}.{identifier(n)}")]
 
 
 def _setting_text(value: Any) -> str:

@@ -83,9 +83,9 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
             machine, flags = BOARDS[board]
             compiler, emulator = _tool("arm-none-eabi-gcc", TOOLS), _tool("qemu-system-arm", TOOLS)
             arm = [compiler, *FLAGS, "-mthumb", *flags]
-            with resources.as_file(resources.files(__package__)) as own:
-                linked = ["--specs=rdimon.specs", "-nostartfiles", "-T", str(own / "cortex_m.ld")]
-                _compiled([*arm, *linked, "-o", program.name, str(own / "cortex_m.c"), *files, "-lm"], folder, name)
+            with resources.as_file(resources.files(__package__)) as sources:
+                linked = ["--specs=rdimon.specs", "-nostartfiles", "-T", str(sources / "cortex_m.ld")]
+                _compiled([*arm, *linked, "-o", program.name, str(sources / "cortex_m.c"), *files, "-lm"], folder, name)
             flash = _size([*arm, "-c", "-o", f"{name}.o", f"{name}.c"], folder, name)
             hosted = ["-nographic", "-semihosting-config", "enable=on,target=native", "-kernel", program.name]
             command = [emulator, "-M", machine, *hosted]

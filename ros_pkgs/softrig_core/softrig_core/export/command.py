@@ -169,8 +169,8 @@ def main(arguments: Sequence[str]) -> int:
             print(f"{node}: answers SR_GAVE_UP at {reason}")
         for board in [""] * options.check + [options.board] * bool(options.board):
             result = replayed(folder, done.name, board)
-            where = f" on {board}, {result.flash} bytes of flash" if board else ""
-            print(f"{node}{where}: {_summary(done, result, single)}")
+            target = f" on {board}, {result.flash} bytes of flash" if board else ""
+            print(f"{node}{target}: {_summary(done, result, single)}")
             status = status or int(not (single or result.same))
     return status
 

@@ -63,13 +63,13 @@ def drawn_calls(
         Whether held inputs are left out now and then.
     """
     draw = np.random.default_rng(seed)
-    held = {p.name for p in member.inputs if p.held} if absent else set()
+    may_be_absent = {p.name for p in member.inputs if p.held} if absent else set()
     asked = [c for c in golden if isinstance(c, Call)]
     rows = {name: [c.inputs for c in asked if c.method == name] for name in methods(block)}
     at_hand = next((c.kept for c in asked if c.method == methods(block)[-1]), ())
     result: list[list[Call | Raised]] = []
     while sum(map(len, result)) < count:
-        result.append(_sequence(member, block, rows, held, draw, at_hand))
+        result.append(_sequence(member, block, rows, may_be_absent, draw, at_hand))
     return result
 
 
@@ -77,7 +77,7 @@ def _sequence(
     member: Member,
     block: Block,
     rows: Mapping[str, Sequence[Any]],
-    held: set[str],
+    may_be_absent: set[str],
     draw: np.random.Generator,
     at_hand: tuple[Any, ...],
 ) -> list[Call | Raised]:
@@ -86,10 +86,10 @@ def _sequence(
     while len(calls) < AGAIN:
         t = round(k * member.schedule.period * 10**9)
         for name in methods(block):
-            inputs = _inputs(rows[name][int(draw.integers(len(rows[name])))], held, draw)
-            for one, key in zip(kept_of(block), at_hand, strict=False):
+            inputs = _inputs(rows[name][int(draw.integers(len(rows[name])))], may_be_absent, draw)
+            for cached, key in zip(kept_of(block), at_hand, strict=False):
                 if key is not None:
-                    one(key)
+                    cached(key)
             call = _asked(member, block, name, x, t, inputs)
             if isinstance(call, Call) and asks_anew(call, at_hand):
                 call = Raised(name, t, x, inputs)
@@ -127,10 +127,10 @@ def _admitted(port: Port, values: Any) -> bool:
     return row is None or all(abs(v) <= limit for v, limit in zip(row, port.limits, strict=True))
 
 
-def _inputs(given: Mapping[str, Any], held: set[str], draw: np.random.Generator) -> dict[str, Any]:
+def _inputs(rows: Mapping[str, Any], may_be_absent: set[str], draw: np.random.Generator) -> dict[str, Any]:
     result: dict[str, Any] = {}
-    for name, row in given.items():
-        if name in held and draw.random() < SHARE_ABSENT:
+    for name, row in rows.items():
+        if name in may_be_absent and draw.random() < SHARE_ABSENT:
             row = None
         data = row.data if isinstance(row, Sample) else row
         numbers = None if data is None else tuple(_number(v, draw) for v in data)

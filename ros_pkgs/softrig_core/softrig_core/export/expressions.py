@@ -99,36 +99,36 @@ class Expressions(Base):
     def of_builtins(self, node: ast.expr) -> str:
         """Return the name of a function of Python's own that is called; empty: it is another one."""
         name = node.id if isinstance(node, ast.Name) and node.id not in self.env else ""
-        own = getattr(builtins, name, None)
-        return name if own is not None and self.outer(name, node) is own else ""
+        builtin = getattr(builtins, name, None)
+        return name if builtin is not None and self.outer(name, node) is builtin else ""
 
-    def of_python(self, thing: Any, node: ast.AST) -> Value:
+    def of_python(self, value: Any, node: ast.AST) -> Value:
         """Return a constant of Python in its C form; functions and modules unchanged."""
-        if isinstance(thing, (bool, int, float)) and not isinstance(thing, np.bool_):
-            return Value(kind_of(thing), literal(thing))
-        if isinstance(thing, np.ndarray):
-            return self.unit.table(thing, "table")
-        if isinstance(thing, complex):
+        if isinstance(value, (bool, int, float)) and not isinstance(value, np.bool_):
+            return Value(kind_of(value), literal(value))
+        if isinstance(value, np.ndarray):
+            return self.unit.table(value, "table")
+        if isinstance(value, complex):
             return self._constant_tuple(
-                thing, [Value(REAL, literal(part)) for part in (thing.real, thing.imag)], COMPLEX
+                value, [Value(REAL, literal(part)) for part in (value.real, value.imag)], COMPLEX
             )
-        if isinstance(thing, tuple):
-            kind = kind_of(thing)
+        if isinstance(value, tuple):
+            kind = kind_of(value)
             assert isinstance(kind, Tuple)
-            return self._constant_tuple(thing, [self._own(self.of_python(v, node)) for v in thing], kind)
-        return Value(ABSENT, "0", thing)
+            return self._constant_tuple(value, [self._own(self.of_python(v, node)) for v in value], kind)
+        return Value(ABSENT, "0", value)
 
-    def _constant_tuple(self, thing: Any, parts: Sequence[Value], kind: Tuple) -> Value:
+    def _constant_tuple(self, value: Any, parts: Sequence[Value], kind: Tuple) -> Value:
         """Return a constant tuple, whose parts are known when it is unpacked."""
-        whole = self.group(parts, kind)
+        group = self.group(parts, kind)
         # A tuple with arrays gets copies of its own at each call, so its C is no constant.
         if not leaves(kind):
-            self.unit.fixed[whole.c] = thing
-        return whole
+            self.unit.fixed[group.c] = value
+        return group
 
-    def parts_of(self, thing: Any, node: ast.AST) -> list[Value]:
+    def parts_of(self, value: Any, node: ast.AST) -> list[Value]:
         """Return the parts of a constant tuple."""
-        parts = (thing.real, thing.imag) if isinstance(thing, complex) else thing
+        parts = (value.real, value.imag) if isinstance(value, complex) else value
         return [self.of_python(part, node) for part in parts]
 
     def _own(self, value: Value) -> Value:
@@ -141,8 +141,8 @@ class Expressions(Base):
 
     def _value_tuple(self, node: ast.Tuple | ast.List) -> Value:
         items: list[Value] = []
-        for one in node.elts:
-            items += self.listed(one.value) if isinstance(one, ast.Starred) else [self.value(one)]
+        for item in node.elts:
+            items += self.listed(item.value) if isinstance(item, ast.Starred) else [self.value(item)]
         return self.group(items, tuple_of([v.kind for v in items]))
 
     _value_list = _value_tuple
@@ -167,8 +167,8 @@ class Expressions(Base):
     def _value_subscript(self, node: ast.Subscript) -> Value:
         if isinstance(node.value, ast.Name) and node.value.id == "c" and isinstance(self.function, str):
             assert isinstance(node.slice, ast.Constant)
-            own = self.unit.constants[node.slice.value]  # type: ignore[index]  # whole numbers, by the text
-            return own if isinstance(own, Value) else self.of_python(own, node)
+            constant = self.unit.constants[node.slice.value]  # type: ignore[index]  # whole numbers, by the text
+            return constant if isinstance(constant, Value) else self.of_python(constant, node)
         base = self.value(node.value)
         if isinstance(base.kind, Maybe):
             base = self.coerced(base, base.kind.item)
@@ -205,16 +205,16 @@ class Expressions(Base):
             first = united(first, part.kind)
         if first is None:
             raise self.unknown("an item of a tuple of several types", node)
-        at = self.named(self.coerced(index, INT))
-        self._check(f"({at.c} < -INT64_C({len(parts)})) || ({at.c} >= INT64_C({len(parts)}))")
+        i = self.named(self.coerced(index, INT))
+        self._check(f"({i.c} < -INT64_C({len(parts)})) || ({i.c} >= INT64_C({len(parts)}))")
         # A struct of C has no places by number, so numbers are looked up in an array.
         if isinstance(first, Number):
             table = self._table_of(base, parts, first)
-            return self.fresh(first, f"{table.c}[({at.c} < 0) ? ({at.c} + INT64_C({len(parts)})) : {at.c}]")
+            return self.fresh(first, f"{table.c}[({i.c} < 0) ? ({i.c} + INT64_C({len(parts)})) : {i.c}]")
         c = self.temporary("look", first)
         for k, part in enumerate(parts):
             self.emit(
-                f"{'} else ' if k else ''}if (({at.c} == INT64_C({k})) || ({at.c} == -INT64_C({len(parts) - k}))) {{"
+                f"{'} else ' if k else ''}if (({i.c} == INT64_C({k})) || ({i.c} == -INT64_C({len(parts) - k}))) {{"
             )
             self.emit(f"    {c} = {self.coerced(part, first).c};")
         self.emit("} else {")
@@ -231,11 +231,11 @@ class Expressions(Base):
         if len(indices) > len(shape):
             raise self.unknown(f"{len(indices)} indices of an array of {len(shape)} dimensions", node)
         flat = ""
-        for one, size in zip(indices, shape, strict=False):
-            at = self.named(self.coerced(one, INT))
-            self._check(f"({at.c} < -INT64_C({size})) || ({at.c} >= INT64_C({size}))")
-            own = f"(({at.c} < 0) ? ({at.c} + INT64_C({size})) : {at.c})"
-            flat = f"({flat} * INT64_C({size}) + {own})" if flat else own
+        for element, size in zip(indices, shape, strict=False):
+            i = self.named(self.coerced(element, INT))
+            self._check(f"({i.c} < -INT64_C({size})) || ({i.c} >= INT64_C({size}))")
+            wrapped = f"(({i.c} < 0) ? ({i.c} + INT64_C({size})) : {i.c})"
+            flat = f"({flat} * INT64_C({size}) + {wrapped})" if flat else wrapped
         inner = Table(table.kind.item, shape[len(indices) :])
         if inner.shape:
             return Value(inner, f"(&{table.c}[{flat} * INT64_C({inner.size})])")
@@ -245,14 +245,14 @@ class Expressions(Base):
         """Return the part of an array after its first indices; of another part only the shape is known."""
         if not isinstance(base.kind, Table) or len(elements) != len(base.kind.shape):
             raise self.unknown("a part of something that is no array", node)
-        whole = [isinstance(e, ast.Slice) and not (e.lower or e.upper or e.step) for e in elements]
-        if any(isinstance(e, ast.Slice) and not w for e, w in zip(elements, whole, strict=True)):
+        full = [isinstance(e, ast.Slice) and not (e.lower or e.upper or e.step) for e in elements]
+        if any(isinstance(e, ast.Slice) and not w for e, w in zip(elements, full, strict=True)):
             raise self.unknown("a part of an array", node)
-        if sorted(whole) != whole:
-            shape = tuple(size for size, w in zip(base.kind.shape, whole, strict=True) if w)
+        if sorted(full) != full:
+            shape = tuple(size for size, w in zip(base.kind.shape, full, strict=True) if w)
             # Its shape may be asked for; a function that reads its numbers is refused when its text is complete.
             return Value(Table(base.kind.item, shape), STRIDED)
-        indices = tuple(self.value(e) for e, w in zip(elements, whole, strict=True) if not w)
+        indices = tuple(self.value(e) for e, w in zip(elements, full, strict=True) if not w)
         return self.as_read(base, self.place(base, Value(tuple_of([v.kind for v in indices]), "", indices), node))
 
     def _sliced(self, base: Value, node: ast.Subscript) -> Value:
@@ -360,8 +360,8 @@ class Expressions(Base):
         if not sign:
             raise self.unknown(f"an operation {type(op).__name__.lower()} of an array", node)
         assert isinstance(table.kind, Table)
-        one = self.named(self.coerced(number, REAL))
-        return self.filled(self.room(table.kind), f"({table.c}[i] {sign} {one.c})")
+        x = self.named(self.coerced(number, REAL))
+        return self.filled(self.room(table.kind), f"({table.c}[i] {sign} {x.c})")
 
     def _complex(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
         """Return an operation on complex numbers, as CPython computes it."""
@@ -373,12 +373,12 @@ class Expressions(Base):
         elif isinstance(op, ast.Mult):
             result = f"(({a} * {c}) - ({b} * {d}))", f"(({a} * {d}) + ({b} * {c}))"
         elif isinstance(op, ast.Div):
-            c, d = (self.fresh(REAL, one).c for one in (c, d))
+            c, d = (self.fresh(REAL, x).c for x in (c, d))
             self._check(f"({c} == 0) && ({d} == 0)")
             result = f"sr_c_quot_real({a}, {b}, {c}, {d})", f"sr_c_quot_imag({a}, {b}, {c}, {d})"
         else:
             raise self.unknown(f"an operation {type(op).__name__.lower()} of complex numbers", node)
-        return self.group([Value(REAL, one) for one in result], COMPLEX)
+        return self.group([Value(REAL, x) for x in result], COMPLEX)
 
     def _value_compare(self, node: ast.Compare) -> Value:
         left = self.value(node.left)
@@ -407,8 +407,8 @@ class Expressions(Base):
             return same if isinstance(op, ast.Eq) else f"(!{same})"
         left, right = (self.coerced(v, v.kind.item) if isinstance(v.kind, Maybe) else v for v in (left, right))
         if isinstance(op, (ast.In, ast.NotIn)):
-            one = self.named(left)
-            tests = [self._compared(ast.Eq(), one, part, node) for part in self.parts(right, node)]
+            first = self.named(left)
+            tests = [self._compared(ast.Eq(), first, part, node) for part in self.parts(right, node)]
             return f"({'' if isinstance(op, ast.In) else '!'}({' || '.join(tests) or 'false'}))"
         if type(op) not in ORDER:
             raise self.unknown(f"a comparison {type(op).__name__.lower()}", node)
@@ -425,7 +425,7 @@ class Expressions(Base):
             return str(COMPARE[type(op)][1](1, 1)).lower()
         known = [WHOLE.fullmatch(v.c) for v in (left, right)]
         if all(known):
-            return str(bool(COMPARE[type(op)][1](*(int(one[1]) for one in known if one)))).lower()
+            return str(bool(COMPARE[type(op)][1](*(int(first[1]) for first in known if first)))).lower()
         test = f"({self.coerced(left, both).c} {ORDER[type(op)]} {self.coerced(right, both).c})"
         numbers = [self.unit.number(v.c) for v in (left, right)]
         if both == REAL and isinstance(op, (ast.Eq, ast.NotEq)) and all(map(math.isnan, numbers)):
@@ -439,15 +439,15 @@ class Expressions(Base):
             left, right = right, left
         if not isinstance(left.kind, Maybe):
             return str(isinstance(left.kind, Absent) and isinstance(right.kind, Absent)).lower()
-        one = self._simple(left)
+        a = self._simple(left)
         if isinstance(right.kind, Absent):
-            return f"(!{one.c}.some)"
-        inner = Value(left.kind.item, f"{one.c}.item")
+            return f"(!{a.c}.some)"
+        inner = Value(left.kind.item, f"{a.c}.item")
         if not isinstance(right.kind, Maybe):
-            return f"({one.c}.some && {self._compared(ast.Eq(), inner, right, node)})"
-        other = self._simple(right)
-        both = self._compared(ast.Eq(), inner, Value(right.kind.item, f"{other.c}.item"), node)
-        return f"(({one.c}.some == {other.c}.some) && ((!{one.c}.some) || {both}))"
+            return f"({a.c}.some && {self._compared(ast.Eq(), inner, right, node)})"
+        b = self._simple(right)
+        both = self._compared(ast.Eq(), inner, Value(right.kind.item, f"{b.c}.item"), node)
+        return f"(({a.c}.some == {b.c}.some) && ((!{a.c}.some) || {both}))"
 
     def _value_boolop(self, node: ast.BoolOp) -> Value:
         stop = isinstance(node.op, ast.Or)
@@ -455,23 +455,23 @@ class Expressions(Base):
         remaining: ast.expr = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
         if first in ("true", "false"):
             return Value(BOOL, first) if (first == "true") is stop else self._as_truth(remaining, node)
-        at = len(self.lines)
-        other = self.truth(self.value(remaining), node)
-        if len(self.lines) == at:
-            if other in ("true", "false"):
-                return Value(BOOL, other if (other == "true") is stop else first)
-            return Value(BOOL, f"({first} {'||' if stop else '&&'} {other})")
+        start = len(self.lines)
+        second = self.truth(self.value(remaining), node)
+        if len(self.lines) == start:
+            if second in ("true", "false"):
+                return Value(BOOL, second if (second == "true") is stop else first)
+            return Value(BOOL, f"({first} {'||' if stop else '&&'} {second})")
         # Python computes the right side only if it is needed, so its statements are inside a test.
-        later, self.lines[at:] = self.lines[at:], []
+        later, self.lines[start:] = self.lines[start:], []
         c = self.temporary("b", BOOL)
         self.emit(f"{c} = {'true' if stop else 'false'};")
         self.emit(f"if (!({first})) {{" if stop else f"if ({bare(first)}) {{")
-        self.lines += [f"    {line}" for line in [*later, f"{c} = {other};"]]
+        self.lines += [f"    {line}" for line in [*later, f"{c} = {second};"]]
         self.emit("}")
         return Value(BOOL, c)
 
-    def _as_truth(self, node: ast.expr, at: ast.AST) -> Value:
-        return Value(BOOL, self.truth(self.value(node), at))
+    def _as_truth(self, node: ast.expr, operand: ast.AST) -> Value:
+        return Value(BOOL, self.truth(self.value(node), operand))
 
     def _value_ifexp(self, node: ast.IfExp) -> Value:
         test = self.truth(self.value(node.test), node)
@@ -479,9 +479,9 @@ class Expressions(Base):
             return self.value(node.body if test == "true" else node.orelse)
         lines, results = self.lines, []
         env = dict(self.env)
-        for way in (node.body, node.orelse):
+        for branch in (node.body, node.orelse):
             self.lines, self.ended = [], False
-            results.append((self.value(way), self.lines))
+            results.append((self.value(branch), self.lines))
         self.lines, self.env = lines, env
         (a, then), (b, orelse) = results
         kind = united(a.kind, b.kind)
@@ -492,8 +492,8 @@ class Expressions(Base):
         c = self.temporary("i", kind)
         # An earlier reading of the function may have shown that this variable needs a wider type.
         kind = self.kinds_of[c]
-        for value, own in ((a, then), (b, orelse)):
-            self.lines = own
+        for value, body in ((a, then), (b, orelse)):
+            self.lines = body
             self.emit(f"{c} = {self.coerced(value, kind).c};")
         self.lines = lines
         self.emit(f"if ({bare(test)}) {{")
@@ -509,9 +509,9 @@ def _folded(op: type, a: str, b: str) -> int | None:
     results = [WHOLE.fullmatch(c) for c in (a, b)]
     if not all(results):
         return None
-    x, y = (int(one[1]) for one in results if one)
-    made = x + y if op is ast.Add else x - y if op is ast.Sub else x * y
-    return made if 0 <= made < LARGE else None
+    x, y = (int(match[1]) for match in results if match)
+    result = x + y if op is ast.Add else x - y if op is ast.Sub else x * y
+    return result if 0 <= result < LARGE else None
 
 
 def _fixed(node: ast.expr) -> int | None:

@@ -97,12 +97,12 @@ def methods(block: Block) -> tuple[str, ...]:
 
 def kept_of(block: Block) -> list[Newest[Any, Any]]:
     """Return the cached answers of a block; C has only the one that is stored after the first calls."""
-    return [one for one in vars(block).values() if isinstance(one, Newest)]
+    return [value for value in vars(block).values() if isinstance(value, Newest)]
 
 
 def keys_of(block: Block) -> tuple[Any, ...]:
     """Return the argument for which each kept answer of a block was last computed."""
-    return tuple(one.key for one in kept_of(block))
+    return tuple(newest.key for newest in kept_of(block))
 
 
 def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call | Changed]:

@@ -172,8 +172,8 @@ def kind_of(value: Any, path: tuple[Any, ...] = ("a value",)) -> Kind:
         return tuple_of([kind_of(v, (*path, n)) for v, n in zip(value, inner, strict=True)], names, title)
     if isinstance(value, np.ndarray) and value.dtype.kind in ITEMS:
         return Table(ITEMS[value.dtype.kind], value.shape)
-    what = "".join([str(path[0]), *(f"[{n}]" if isinstance(n, int) else f".{n}" for n in path[1:])])
-    raise NotNative(f"{what} is of the type {type(value).__name__}, which the C does not have")
+    label = "".join([str(path[0]), *(f"[{n}]" if isinstance(n, int) else f".{n}" for n in path[1:])])
+    raise NotNative(f"{label} is of the type {type(value).__name__}, which the C does not have")
 
 
 def tuple_of(items: Sequence[Kind], names: Sequence[str] | None = None, title: str = "") -> Tuple:
@@ -188,8 +188,8 @@ def united(a: Kind | None, b: Kind | None) -> Kind | None:
     if isinstance(a, Number) and isinstance(b, Number):
         return a if a.rank > b.rank else b
     if isinstance(a, Absent) or isinstance(b, Absent):
-        other = b if isinstance(a, Absent) else a
-        return other if isinstance(other, Maybe) else Maybe(other)
+        present = b if isinstance(a, Absent) else a
+        return present if isinstance(present, Maybe) else Maybe(present)
     if isinstance(a, Maybe) or isinstance(b, Maybe):
         inner = united(a.item if isinstance(a, Maybe) else a, b.item if isinstance(b, Maybe) else b)
         return None if inner is None else Maybe(inner)
@@ -210,7 +210,7 @@ def leaves(kind: Kind, path: str = "") -> list[tuple[str, Table]]:
         return leaves(kind.item, f"{path}.item")
     if isinstance(kind, Tuple):
         return [
-            one for n, k in zip(kind.names, kind.items, strict=True) for one in leaves(k, f"{path}.{identifier(n)}")
+            leaf for n, k in zip(kind.names, kind.items, strict=True) for leaf in leaves(k, f"{path}.{identifier(n)}")
         ]
     return []
 

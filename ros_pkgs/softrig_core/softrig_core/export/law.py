@@ -76,8 +76,8 @@ def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[For
     for kind in set(kinds):
         for path, table in leaves(kind):
             if table.shape:
-                place = room_of(path, table)
-                rooms[place] = max(rooms.get(place, 0), table.shape[0])
+                key = room_of(path, table)
+                rooms[key] = max(rooms.get(key, 0), table.shape[0])
     kinds = [roomy(kind, rooms) for kind in kinds]
     newest: dict[Form, Call] = {}
     for call, x in zip(calls, kinds[1::2], strict=True):
@@ -128,10 +128,10 @@ def law_of(
     for k, (form, call) in enumerate(newest.items()):
         roots[form] = f"root{k}"
         handed: set[str] = set()
-        given = {p.name: _input(p, call.inputs.get(p.name)) for p in inputs} if form.method != "outputs" else {}
+        values = {p.name: _input(p, call.inputs.get(p.name)) for p in inputs} if form.method != "outputs" else {}
         state = Dynamic("x", packed(call.x))
         method = getattr(type(block), form.method)
-        value = made(program, method, [Static(block, (0,)), state, Dynamic("t", call.t or 1)], given, handed)
+        value = made(program, method, [Static(block, (0,)), state, Dynamic("t", call.t or 1)], values, handed)
         lines = _answer(program, form.method, value, outputs)
         arrays[form] = tuple(sorted(handed))
         rows = [f"i_{p.name}" for p in inputs if p.name in form.there]
@@ -159,17 +159,17 @@ def _going_on(
     move: Any = type(block).go_on
     results: dict[Form, tuple[str, tuple[str, ...]]] = {}
     for form, call in newest.items():
-        own = Form("go_on", form.state, ())
-        if own in results:
+        key = Form("go_on", form.state, ())
+        if key in results:
             continue
         name, handed = f"go{len(results)}", set[str]()
         value = made(program, move, [Static(block, (0,)), Dynamic("x", packed(call.x)), before], {}, handed)
         lines = _answer(program, "advance", value, ())
-        results[own] = name, tuple(sorted(handed))
-        head = f"def {name}({', '.join(['c', 'n', *results[own][1], 'x'])}):"
+        results[key] = name, tuple(sorted(handed))
+        head = f"def {name}({', '.join(['c', 'n', *results[key][1], 'x'])}):"
         program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
-    for own, (name, given) in results.items():
-        roots[own], arrays[own] = name, given
+    for key, (name, added) in results.items():
+        roots[key], arrays[key] = name, added
 
 
 def input_kind(port: Port) -> Kind:
@@ -250,9 +250,9 @@ class Text:
         """Return the answer to a call; any error that this raises discards the call."""
         x = packed(call.x)
         form = self.roots[call.method, _sizeless(kind_of(x)), there_of(call)]
-        there = [] if form.method == "outputs" else [p for p in self.inputs if p.name in form.there]
+        ports = [] if form.method == "outputs" else [p for p in self.inputs if p.name in form.there]
         arrays = [self.handed[name] for name in self.law.arrays[form]]
-        rows = [_row(call.inputs[p.name]) for p in there]
+        rows = [_row(call.inputs[p.name]) for p in ports]
         return self.scope[self.law.roots[form]](self.constants, [0, 0, 0], *arrays, x, call.t, *rows)
 
 
@@ -301,9 +301,9 @@ def _reason(error: Exception, law: Law) -> str:
     """Return the error of a text, and the Python function that raised it."""
     frames = [frame.f_code.co_name for frame, _ in traceback.walk_tb(error.__traceback__)]
     titles = [law.texts[name].partition("\n")[0].partition("  # ")[2] for name in frames if name in law.texts]
-    where = next((title for title in reversed(titles) if title), "")
-    what = "a whole number that has no place in 64 bits" if isinstance(error, OverflowError) else repr(error)
-    return f"{what} in {where}"
+    function = next((title for title in reversed(titles) if title), "")
+    text = "a whole number that has no place in 64 bits" if isinstance(error, OverflowError) else repr(error)
+    return f"{text} in {function}"
 
 
 def _scope(block: Block, law: Law) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -312,12 +312,12 @@ def _scope(block: Block, law: Law) -> tuple[dict[str, Any], dict[str, Any]]:
     scope: dict[str, Any] = {**BASE, **program.names}
     for text in law.texts.values():
         exec(text, scope)
-    for name, thing in program.names.items():
+    for name, value in program.names.items():
         # A function that the run has not called would be compiled for these few calls alone.
-        if isinstance(thing, Jit):
-            scope[name] = thing.straight() if thing.direct is thing else thing.direct
-        elif isinstance(thing, Compiled):
-            scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
+        if isinstance(value, Jit):
+            scope[name] = value.straight() if value.direct is value else value.direct
+        elif isinstance(value, Compiled):
+            scope[name.removesuffix("_there")] = lambda s, *values, value=value: value(values)
     handed: dict[str, Any] = {"reports": defaultdict(float)}
     handed |= dict.fromkeys(program.scratches.values())
     handed |= {name: _Row(follow(path, roots)) for path, name in program.draws.items()}

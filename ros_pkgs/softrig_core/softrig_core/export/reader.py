@@ -51,9 +51,9 @@ class Reader(Calls):
             self.discards = self.ended = False
             self.temporaries = 0
             self.loops = []
-            for k, (given, kind) in enumerate(zip(names, self.kinds, strict=True)):
-                c = self.handed[k] if self.handed[k] is not None else _argument(given)
-                self.env[given] = Value(kind, c, self.unit.by_name.get(c))
+            for k, (argument, kind) in enumerate(zip(names, self.kinds, strict=True)):
+                c = self.handed[k] if self.handed[k] is not None else _argument(argument)
+                self.env[argument] = Value(kind, c, self.unit.by_name.get(c))
             self.block(self.tree.body)
             if not self.ended:
                 self._returned(Value(ABSENT, "0"))
@@ -95,11 +95,11 @@ class Reader(Calls):
             for line in self.lines:
                 # `-Wall` warns of variables that are set and not read.
                 match = ASSIGNED.fullmatch(line)
-                own = match.group(2) if match and match.group(2) in self.kinds_of else ""
+                var = match.group(2) if match and match.group(2) in self.kinds_of else ""
                 if (
                     match
-                    and own
-                    and not any(reads(own, other) for other in self.lines if not other.lstrip().startswith(f"{own} = "))
+                    and var
+                    and not any(reads(var, code) for code in self.lines if not code.lstrip().startswith(f"{var} = "))
                 ):
                     if re.match(rf"{self.unit.prefix}_\w+\(s\b", match.group(3)):
                         lines.append(f"{match.group(1)}(void){match.group(3)};")
@@ -113,20 +113,20 @@ class Reader(Calls):
 
     def block(self, statements: Sequence[ast.stmt]) -> None:
         """Write statements up to the first that ends the function."""
-        for one in statements:
+        for statement in statements:
             if self.ended:
                 return
-            method = getattr(self, f"_{type(one).__name__.lower()}", None)
+            method = getattr(self, f"_{type(statement).__name__.lower()}", None)
             if method is None:
-                raise self.unknown(f"a statement `{type(one).__name__.lower()}`", one)
-            method(one)
+                raise self.unknown(f"a statement `{type(statement).__name__.lower()}`", statement)
+            method(statement)
 
     def _pass(self, node: ast.Pass) -> None:
         pass
 
     def _import(self, node: ast.Import) -> None:
-        for one in node.names:
-            self.env[one.asname or one.name] = Value(ABSENT, "0", importlib.import_module(one.name))
+        for alias in node.names:
+            self.env[alias.asname or alias.name] = Value(ABSENT, "0", importlib.import_module(alias.name))
 
     def _raise(self, node: ast.Raise) -> None:
         self.give_up()
@@ -177,8 +177,8 @@ class Reader(Calls):
             parts = [self.named(p) for p in self.parts(value, target)]
             if len(parts) != len(target.elts):
                 raise self.unknown(f"{len(parts)} values for {len(target.elts)} names", target)
-            for one, part in zip(target.elts, parts, strict=True):
-                self.bind(one, part)
+            for name, item in zip(target.elts, parts, strict=True):
+                self.bind(name, item)
         elif isinstance(target, ast.Subscript):
             table = self.value(target.value)
             if not isinstance(table.kind, Table) or isinstance(table.thing, np.ndarray):
@@ -186,11 +186,11 @@ class Reader(Calls):
             if isinstance(target.slice, ast.Slice):
                 self._filled_whole(self.view(table, self._ends(target.slice), target), value, target)
                 return
-            place = self._place_of(table, target)
-            if isinstance(place.kind, Table):
-                self._filled_whole(place, value, target)
+            element = self._place_of(table, target)
+            if isinstance(element.kind, Table):
+                self._filled_whole(element, value, target)
                 return
-            self.emit(f"{place.c} = {self.coerced(value, place.kind).c};")
+            self.emit(f"{element.c} = {self.coerced(value, element.kind).c};")
         else:
             raise self.unknown("an assignment to a part of something", target)
 
@@ -218,15 +218,15 @@ class Reader(Calls):
             return
         self.fork(test, lambda: self.block(node.body), lambda: self.block(node.orelse))
 
-    def fork(self, test: str, one: Callable[[], Any], other: Callable[[], Any]) -> None:
+    def fork(self, test: str, if_true: Callable[[], Any], if_false: Callable[[], Any]) -> None:
         """Write both branches of a test, and merge the values of names after them."""
         lines, before = self.lines, dict(self.env)
-        ways = []
-        for way in (one, other):
+        branches = []
+        for branch in (if_true, if_false):
             self.lines, self.env, self.ended = [], dict(before), False
-            way()
-            ways.append((self.lines, self.env, self.ended))
-        (then, env_then, over_then), (orelse, env_else, over_else) = ways
+            branch()
+            branches.append((self.lines, self.env, self.ended))
+        (then, env_then, over_then), (orelse, env_else, over_else) = branches
         if over_then or over_else:
             env = env_else if over_then else env_then
         else:
@@ -241,15 +241,15 @@ class Reader(Calls):
         self.emit("}")
 
     def _joined(
-        self, one: dict[str, Value], then: list[str], other: dict[str, Value], orelse: list[str]
+        self, env_then: dict[str, Value], then: list[str], env_else: dict[str, Value], orelse: list[str]
     ) -> dict[str, Value]:
         env: dict[str, Value] = {}
-        for name in {**one, **other}:
-            a, b = one.get(name), other.get(name)
+        for name in {**env_then, **env_else}:
+            a, b = env_then.get(name), env_else.get(name)
             if a is None or b is None:
                 # Python raises where a name without a value is read, and C would read a variable that is not set:
                 # reading it is refused.
-                env[name] = replace(one[name] if b is None else other[name], partly=True)
+                env[name] = replace(env_then[name] if b is None else env_else[name], partly=True)
                 continue
             if a == b:
                 env[name] = a
@@ -292,22 +292,22 @@ class Reader(Calls):
         # A loop in another one may have the same name.
         counter = self._variable(node.target.id, INT, f"k{len(self.loops)}")
         # Python's name is apart from the counter: the body may bind it, and it keeps its last value after the loop.
-        own = self._variable(node.target.id, INT)
+        variable = self._variable(node.target.id, INT)
         head = f"for ({counter} = {first.c}; {counter} {'>' if down else '<'} {last.c}; {counter} += {step.c}) {{"
 
         def inside() -> None:
-            self.emit(f"{own} = {counter};")
-            self.env[node.target.id] = Value(self.kinds_of[own], own)  # type: ignore[attr-defined]
+            self.emit(f"{variable} = {counter};")
+            self.env[node.target.id] = Value(self.kinds_of[variable], variable)  # type: ignore[attr-defined]
             self.block(node.body)
 
         self._loop(head, inside, node)
 
     def _each(self, node: ast.For) -> None:
         """Write a loop over a tuple as one copy of its body for each part."""
-        if any(isinstance(n, (ast.Break, ast.Continue)) for one in node.body for n in ast.walk(one)):
+        if any(isinstance(n, (ast.Break, ast.Continue)) for statement in node.body for n in ast.walk(statement)):
             raise self.unknown("a loop over a tuple that is left", node)
-        for part in [self.named(v) for v in self.listed(node.iter)]:
-            self.bind(node.target, part)
+        for item in [self.named(v) for v in self.listed(node.iter)]:
+            self.bind(node.target, item)
             self.block(node.body)
             if self.ended:
                 return
@@ -375,5 +375,5 @@ def _argument(name: str) -> str:
 
 def _hint(test: str, then: Sequence[str], orelse: Sequence[str]) -> str:
     """Return C's hint for a test that has none: a branch that itself reports or discards is rarely taken."""
-    rare = ["s->reported = true;" in way or "s->discarded = true;" in way for way in (then, orelse)]
+    rare = ["s->reported = true;" in branch or "s->discarded = true;" in branch for branch in (then, orelse)]
     return "" if test.startswith("SR_") or rare[0] is rare[1] else "SR_RARELY" if rare[0] else "SR_MOSTLY"

@@ -141,7 +141,7 @@ class _RigFiles:
         self.rows = [(t, {n: v for n, v in row.items() if n in due}) for t, row in ticks.rows]
         # Without the nodes that were left out the clock may be slower: at some ticks of the run nothing is due.
         self.rows = [(t, row) for t, row in self.rows if self.plan.clock.due(t)]
-        ended = [(one.end, f"{m}: {one.ends}") for m, one in exported.items() if one.end is not None]
+        ended = [(files.end, f"{m}: {files.ends}") for m, files in exported.items() if files.end is not None]
         end, self.ends = min(ended, default=(None, ""))
         # From there on C may differ from Python, which goes on from a state that C does not have.
         if end is not None:
@@ -152,8 +152,8 @@ class _RigFiles:
     def exported(self) -> Exported:
         """Return all files: those of its members without their rows, and its own."""
         files: dict[str, str] = {}
-        for one in self.files_of.values():
-            files |= {n: t for n, t in one.files.items() if n.endswith((".h", ".c")) and not n.endswith(_OWN)}
+        for part in self.files_of.values():
+            files |= {n: t for n, t in part.files.items() if n.endswith((".h", ".c")) and not n.endswith(_OWN)}
         n = self.name
         files |= {
             f"{n}.h": self.header(),
@@ -164,9 +164,9 @@ class _RigFiles:
             SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
             f"{n}.json": self.description(),
         }
-        libm = sorted({f for one in self.files_of.values() for f in one.libm})
+        libm = sorted({f for part in self.files_of.values() for f in part.libm})
         channels = tuple(f"{m.name}: {p.topic}/{label}" for m in self.members for p in m.outputs for label in p.labels)
-        discards = tuple(f"{m}: {r}" for m, one in self.files_of.items() for r in one.discards)
+        discards = tuple(f"{m}: {r}" for m, part in self.files_of.items() for r in part.discards)
         return Exported(n, files, tuple(libm), (), channels, discards, self.ends)
 
     def header(self) -> str:
@@ -181,7 +181,7 @@ class _RigFiles:
             f"#ifndef {upper}_H",
             f"#define {upper}_H",
             "",
-            *(f'#include "{one.name}.h"' for one in self.files_of.values()),
+            *(f'#include "{member.name}.h"' for member in self.files_of.values()),
             "",
             f"#define {upper}_TICKS {self.plan.ticks or 0} /**< of the scenario; 0: endless */",
             f"#define {upper}_PERIOD_NUMERATOR {period.numerator} /**< of a tick, s, as a fraction */",
@@ -192,9 +192,9 @@ class _RigFiles:
             "    int64_t k; /**< number of the tick that comes next */",
             "    int64_t t_ns; /**< time of the newest tick */",
         ]
-        for one in self.files_of.values():
+        for member in self.files_of.values():
             # C++ accepts a member with the name of its type only after `struct`
-            lines += [f"    struct {part} {part};" for part in (one.name, f"{one.name}_in", f"{one.name}_out")]
+            lines += [f"    struct {name} {name};" for name in (member.name, f"{member.name}_in", f"{member.name}_out")]
         lines += [
             f"}} {n};",
             "",
@@ -256,23 +256,23 @@ class _RigFiles:
         return self.files_of[member.name].name
 
     def _begin(self, member: Member) -> list[str]:
-        own = self._c(member)
-        lines = [f"{own}_init(&s->{own}, NULL);"]
+        c = self._c(member)
+        lines = [f"{c}_init(&s->{c}, NULL);"]
         for port in member.inputs:
             value = port.initial
             data = value.data if isinstance(value, Sample) else value or ()
-            lines += [f"s->{own}_in.{identifier(port.name)}[{i}] = {literal(v)};" for i, v in enumerate(data) if v]
+            lines += [f"s->{c}_in.{identifier(port.name)}[{i}] = {literal(v)};" for i, v in enumerate(data) if v]
         return lines
 
     def _turn(self, member: Member, act: Act) -> list[str]:
         """Write one action of a node under the condition that it is due, then the inputs that it fills."""
-        own, every = self._c(member), self.plan.every(member.schedule)
-        what, given = {
-            "outputs": ("outputs", f"&s->{own}_out"),
-            "update": ("step", f"&s->{own}_in, &s->{own}_out"),
-            "advance": ("advance", f"&s->{own}_in"),
+        c, every = self._c(member), self.plan.every(member.schedule)
+        call, args = {
+            "outputs": ("outputs", f"&s->{c}_out"),
+            "update": ("step", f"&s->{c}_in, &s->{c}_out"),
+            "advance": ("advance", f"&s->{c}_in"),
         }[act]
-        lines = [f"if (SR_RARELY({own}_{what}(&s->{own}, {given}, t) != SR_DONE)) {{", "    status = SR_GAVE_UP;", "}"]
+        lines = [f"if (SR_RARELY({c}_{call}(&s->{c}, {args}, t) != SR_DONE)) {{", "    status = SR_GAVE_UP;", "}"]
         if act != "advance":
             for reader in self.members:
                 for name, link in reader.links.items():
@@ -284,25 +284,25 @@ class _RigFiles:
         """Write how an output fills an input."""
         port, source = link.port, f"s->{self._c(link.source)}_out"
         target = f"s->{self._c(reader)}_in"
-        own = next(p for p in reader.inputs if p.name == name)
-        here, there = identifier(name), identifier(port.name)
-        places = range(port.size) if link.pick is None else link.pick
+        sink = next(p for p in reader.inputs if p.name == name)
+        dst, src = identifier(name), identifier(port.name)
+        picks = range(port.size) if link.pick is None else link.pick
         lines = [
             # In a pick a whole number is a place and a float is a constant.
-            f"{target}.{here}[{i}] = {f'{source}.{there}[{p}]' if type(p) is int else literal(p)};"
-            for i, p in enumerate(places)
+            f"{target}.{dst}[{i}] = {f'{source}.{src}[{p}]' if type(p) is int else literal(p)};"
+            for i, p in enumerate(picks)
         ]
         # An output without a stamp of its own has the stamp of its tick.
-        if own.delayed:
-            lines.append(f"{target}.{here}_stamp_ns = {f'{source}.{there}_stamp_ns' if port.delayed else 't'};")
-        if own.held:
-            lines.append(f"{target}.has_{here} = true;")
+        if sink.delayed:
+            lines.append(f"{target}.{dst}_stamp_ns = {f'{source}.{src}_stamp_ns' if port.delayed else 't'};")
+        if sink.held:
+            lines.append(f"{target}.has_{dst} = true;")
         # A fault may publish values that its reader rejects.
         if port.unchecked:
-            tests = [f"SR_MATH(fabs)({target}.{here}[{i}]) <= {literal(limit)}" for i, limit in enumerate(own.limits)]
+            tests = [f"SR_MATH(fabs)({target}.{dst}[{i}]) <= {literal(limit)}" for i, limit in enumerate(sink.limits)]
             lines += [f"if (SR_RARELY(!({' && '.join(f'({t})' for t in tests)}))) {{", "    status = SR_GAVE_UP;", "}"]
         if port.sporadic:
-            lines = [f"if ({source}.has_{there}) {{", *(f"    {line}" for line in lines), "}"]
+            lines = [f"if ({source}.has_{src}) {{", *(f"    {line}" for line in lines), "}"]
         return lines
 
     def text_of_rows(self) -> str:
@@ -329,7 +329,7 @@ class _RigFiles:
 
     def sources(self) -> list[str]:
         """Return the names of the C files of its members."""
-        return [n for one in self.files_of.values() for n in one.files if n.endswith(".c") and not n.endswith(_OWN)]
+        return [n for f in self.files_of.values() for n in f.files if n.endswith(".c") and not n.endswith(_OWN)]
 
     def description(self) -> str:
         """Return the JSON description."""

@@ -96,7 +96,7 @@ def structured_text(name: str, header: str, source: str, support: str, member: M
         raise NotNative("CasADi's C has no structured text")
     text = HEAD + _plain(support) + _plain(header) + _plain(source)
     params = re.findall(rf"#define {name.upper()}_PARAMS {{ (.*) }}", header)[0]
-    titles = {own: title for title, own in re.findall(r"^/\* (.*) \*/\nstatic inline .*?(\w+)\(", source, re.MULTILINE)}
+    titles = {fn: title for title, fn in re.findall(r"^/\* (.*) \*/\nstatic inline .*?(\w+)\(", source, re.MULTILINE)}
     printer = _Printer(name, c_parser.CParser().parse(text), titles)
     units = printer.units()
     return [*units, printer.block_of(member, _numbers(params))]
@@ -105,8 +105,8 @@ def structured_text(name: str, header: str, source: str, support: str, member: M
 def _numbers(text: str) -> list[str]:
     """Return the numbers of an initialiser of C in structured text."""
     plain = re.sub(r"\b(?:SR_REAL|INT64_C)\(([^()]*)\)", r"\1", _plain(text))
-    words = [one.strip().strip("()") for one in plain.split(",")]
-    return [{"true": "TRUE", "false": "FALSE"}.get(one, one) for one in words]
+    words = [number.strip().strip("()") for number in plain.split(",")]
+    return [{"true": "TRUE", "false": "FALSE"}.get(number, number) for number in words]
 
 
 def _plain(text: str) -> str:
@@ -167,9 +167,9 @@ class _Printer:
             size = int(str(self.expression(node.dim).text)) if node.dim is not None else 0
             return "ARRAY", self.type_of(node.type), size
         if isinstance(node, (c_ast.Struct, c_ast.Union)):
-            own = f"{self.name}_{node.name or f'part{len(self.structs)}'}_t"
-            self.struct(own, node)
-            return own
+            title = f"{self.name}_{node.name or f'part{len(self.structs)}'}_t"
+            self.struct(title, node)
+            return title
         raise NotNative(f"structured text of {type(node).__name__}")
 
     def written(self, kind: Any) -> str:
@@ -185,8 +185,8 @@ class _Printer:
         if name in self.structs:
             return
         self.structs[name] = fields = {}
-        for one in node.decls or ():
-            fields[one.name] = self.type_of(one.type)
+        for member in node.decls or ():
+            fields[member.name] = self.type_of(member.type)
         self.done.append(
             Unit("TYPE", self.word(name), [], fields=[(self.word(n), self.written(t)) for n, t in fields.items()])
         )
@@ -195,59 +195,59 @@ class _Printer:
 
     def units(self) -> list[Unit]:
         """Return all that the block needs."""
-        for one in self.tree.ext:
-            if isinstance(one, c_ast.Typedef) and isinstance(one.type.type, (c_ast.Struct, c_ast.Union)):
-                self.struct(one.name, one.type.type)
-            elif isinstance(one, c_ast.Decl) and isinstance(one.type, c_ast.FuncDecl):
-                self.signature(one)
-            elif isinstance(one, c_ast.Decl) and one.init is not None and isinstance(one.type, c_ast.ArrayDecl):
-                found = [self.expression(v).text for v in one.init.exprs]
+        for node in self.tree.ext:
+            if isinstance(node, c_ast.Typedef) and isinstance(node.type.type, (c_ast.Struct, c_ast.Union)):
+                self.struct(node.name, node.type.type)
+            elif isinstance(node, c_ast.Decl) and isinstance(node.type, c_ast.FuncDecl):
+                self.signature(node)
+            elif isinstance(node, c_ast.Decl) and node.init is not None and isinstance(node.type, c_ast.ArrayDecl):
+                values = [self.expression(v).text for v in node.init.exprs]
                 # matiec refuses negative numbers in parentheses in the initial values of a table.
-                numbers = ", ".join(re.sub(r"^\((-[\d.e+-]+)\)$", r"\1", v) for v in found)
-                self.tables[one.name] = self.type_of(one.type), f"[{numbers}]"
-            elif isinstance(one, c_ast.FuncDef):
-                self.signature(one.decl)
+                numbers = ", ".join(re.sub(r"^\((-[\d.e+-]+)\)$", r"\1", v) for v in values)
+                self.tables[node.name] = self.type_of(node.type), f"[{numbers}]"
+            elif isinstance(node, c_ast.FuncDef):
+                self.signature(node.decl)
                 try:
-                    self.function(one)
+                    self.function(node)
                 except NotNative as reason:
-                    title = self.titles.get(one.decl.name, "")
+                    title = self.titles.get(node.decl.name, "")
                     raise NotNative(f"{title}: {reason}" if "." in title else str(reason)) from None
         needed = self._needed(f"{self.word(f'{self.name}_init')}", *(self.word(f) for f in self.steps()))
-        own = [u for u in self.done if u.kind == "TYPE" or u.name in needed]
-        return [*_library(own), *own]
+        used = [u for u in self.done if u.kind == "TYPE" or u.name in needed]
+        return [*_library(used), *used]
 
     def block_of(self, member: Member, params: Sequence[str]) -> Unit:
         """Return the function block: its inputs and outputs by topic and unit, then the call."""
         n, node = self.name, self.word(f"{self.name}_node")
-        given, answer, settings = (self.word(f"{n}_{w}_now") for w in ("in", "out", "params"))
+        inputs, answer, settings = (self.word(f"{n}_{w}_now") for w in ("in", "out", "params"))
         rows: dict[str, list[str]] = {"VAR_INPUT": [], "VAR_OUTPUT": []}
         before, after = list[str](), list[str]()
         for title, ports, struct, lines in (
-            ("VAR_INPUT", member.inputs, given, before),
+            ("VAR_INPUT", member.inputs, inputs, before),
             ("VAR_OUTPUT", member.outputs, answer, after),
         ):
             for port in ports:
-                own = identifier(port.name)
+                ident = identifier(port.name)
                 pairs = []
                 if port.held if title == "VAR_INPUT" else port.sporadic:
-                    pairs.append((f"has_{own}", f"has_{own}", "BOOL", f"whether {port.topic} has a value"))
+                    pairs.append((f"has_{ident}", f"has_{ident}", "BOOL", f"whether {port.topic} has a value"))
                 if port.delayed:
-                    pairs.append((f"{own}_stamp_ns", f"{own}_stamp_ns", "LINT", "when it was acquired, ns"))
+                    pairs.append((f"{ident}_stamp_ns", f"{ident}_stamp_ns", "LINT", "when it was acquired, ns"))
                 for k, (label, unit) in enumerate(zip(port.labels, port.units, strict=True)):
                     pairs.append(
-                        (f"{own}[{k}]", f"{own}_{identifier(label)}", "LREAL", f"{port.topic}/{label}, {unit}")
+                        (f"{ident}[{k}]", f"{ident}_{identifier(label)}", "LREAL", f"{port.topic}/{label}, {unit}")
                     )
-                for place, name, kind, what in pairs:
-                    field_, _, index = place.partition("[")
+                for variable, name, kind, comment in pairs:
+                    field_, _, index = variable.partition("[")
                     inner = f"{struct}.{self.word(field_)}{'[' + index if index else ''}"
                     outer = self.word(name)
-                    rows[title].append(f"    {outer} : {kind}; (* {remark(what)} *)")
+                    rows[title].append(f"    {outer} : {kind}; (* {remark(comment)} *)")
                     lines.append(f"    {inner} := {outer};" if title == "VAR_INPUT" else f"    {outer} := {inner};")
         fields = list(self.structs[f"{n}_params"])
         settings_ = [f"    {settings}.{self.word(f)} := {v};" for f, v in zip(fields, params, strict=True)]
         call = ", ".join(
             f"{self.word(w)} := {v}"
-            for (w, _, _), v in zip(self.functions[f"{n}_step"][1], (node, given, answer, "t_ns"), strict=True)
+            for (w, _, _), v in zip(self.functions[f"{n}_step"][1], (node, inputs, answer, "t_ns"), strict=True)
         )
         begin = ", ".join(
             f"{self.word(w)} := {v}"
@@ -258,7 +258,7 @@ class _Printer:
             "    t_ns : LINT; (* time of the tick, ns *)", *rows["VAR_INPUT"], "END_VAR",
             "VAR_OUTPUT", "    gave_up : BOOL; (* the outputs have their safe values *)",
             *rows["VAR_OUTPUT"], "END_VAR",
-            "VAR", f"    {node} : {self.word(n)};", f"    {given} : {self.word(f'{n}_in')};",
+            "VAR", f"    {node} : {self.word(n)};", f"    {inputs} : {self.word(f'{n}_in')};",
             f"    {answer} : {self.word(f'{n}_out')};", f"    {settings} : {self.word(f'{n}_params')};",
             "    begun : BOOL;", "    done : BOOL;", "END_VAR",
         ]  # fmt: skip
@@ -293,10 +293,10 @@ class _Printer:
     def signature(self, decl: Any) -> None:
         """Register a function."""
         parameters: list[tuple[str, Any, bool]] = []
-        for one in decl.type.args.params if decl.type.args else ():
-            kind = self.type_of(one.type)
+        for parameter in decl.type.args.params if decl.type.args else ():
+            kind = self.type_of(parameter.type)
             by_reference = isinstance(kind, tuple) and kind[0] == "POINTER" and kind[1] in self.structs
-            parameters.append((one.name or "", kind[1] if by_reference else kind, by_reference))
+            parameters.append((parameter.name or "", kind[1] if by_reference else kind, by_reference))
         self.functions[decl.name] = self.type_of(decl.type.type), parameters
 
     def function(self, node: Any) -> None:
@@ -309,16 +309,16 @@ class _Printer:
         self.own, self.newest = self.word(name), {}
         for word, kind, _ in parameters:
             self.vars[word] = kind
-        given = set(self.vars)
-        for one in node.body.block_items or ():
-            self.statement(one)
+        declared = set(self.vars)
+        for statement in node.body.block_items or ():
+            self.statement(statement)
         body = "\n".join(self.lines)
         head: list[str] = []
         # A struct behind a pointer of C is changed by the function, and an input of structured text is a copy.
         for title, by_reference in (("VAR_IN_OUT", True), ("VAR_INPUT", False)):
             rows = [f"    {self.word(w)} : {self.written(k)};" for w, k, r in parameters if r is by_reference]
             head += [title, *rows, "END_VAR"] if rows else []
-        rows = [f"    {self.word(w)} : {self.written(k)};" for w, k in self.vars.items() if w not in given]
+        rows = [f"    {self.word(w)} : {self.written(k)};" for w, k in self.vars.items() if w not in declared]
         rows += [
             f"    {self.word(w)} : {self.written(k)} := {v};"
             for w, (k, v) in self.tables.items()
@@ -339,10 +339,10 @@ class _Printer:
         """Print the statements between braces."""
         self.depth += 1
         items = node.block_items or () if isinstance(node, c_ast.Compound) else (node,)
-        at = len(self.lines)
-        for one in items:
-            self.statement(one)
-        if len(self.lines) == at:
+        start = len(self.lines)
+        for statement in items:
+            self.statement(statement)
+        if len(self.lines) == start:
             self.emit(";")
         self.depth -= 1
 
@@ -364,8 +364,8 @@ class _Printer:
             self.assign(Typed(self.word(name), kind), node.init)
 
     def _compound(self, node: Any) -> None:
-        for one in node.block_items or ():
-            self.statement(one)
+        for statement in node.block_items or ():
+            self.statement(statement)
 
     def _cast(self, node: Any) -> None:
         # A cast to void, of a call whose result is not needed.
@@ -403,13 +403,13 @@ class _Printer:
         target, source, _ = node.args.exprs
         if node.name.name == "memset":
             return
-        to, frm = self.expression(target), self.expression(source)
-        size = min(k[2] for k in (to.type, frm.type) if isinstance(k, tuple) and k[0] == "ARRAY")
+        goal, frm = self.expression(target), self.expression(source)
+        size = min(k[2] for k in (goal.type, frm.type) if isinstance(k, tuple) and k[0] == "ARRAY")
         self.vars["copy_k"] = "LINT"
         k = self.word("copy_k")
         self.emit(f"{k} := 0;")
         self.emit(f"WHILE {k} < {size} DO")
-        self.emit(f"    {to.text}[{k}] := {frm.text}[{k}];")
+        self.emit(f"    {goal.text}[{k}] := {frm.text}[{k}];")
         self.emit(f"    {k} := {k} + 1;")
         self.emit("END_WHILE;")
 
@@ -435,8 +435,8 @@ class _Printer:
     def _for(self, node: Any) -> None:
         """Print a loop as WHILE, because one compiler does not run a FOR loop whose ends are equal."""
         if isinstance(node.init, c_ast.DeclList):
-            for one in node.init.decls:
-                self._decl(one)
+            for declaration in node.init.decls:
+                self._decl(declaration)
         elif node.init is not None:
             self.statement(node.init)
         self.emit(f"WHILE {'TRUE' if node.cond is None else self.condition(node.cond)} DO")
@@ -458,7 +458,7 @@ class _Printer:
 
     def _continue(self, node: Any) -> None:
         # The loop is a WHILE, whose CONTINUE would leave out the step of C's `for`.
-        self.lines += ["    " * (self.depth + 1) + one.strip() for one in self.increments]
+        self.lines += ["    " * (self.depth + 1) + line.strip() for line in self.increments]
         self.emit("CONTINUE;")
 
     # expressions --------------------------------------------------------------------------------------------------
@@ -581,14 +581,14 @@ class _Printer:
         results: list[tuple[Typed, list[str]]] = []
         lines = self.lines
         self.depth += 1
-        for way in (node.iftrue, node.iffalse):
+        for branch in (node.iftrue, node.iffalse):
             self.lines = []
-            results.append((self.expression(way), self.lines))
+            results.append((self.expression(branch), self.lines))
         (a, then), (b, orelse) = results
         kind = b.type if a.type == "NUMBER" else a.type
         target = self.temporary("LINT" if kind == "NUMBER" else kind)
-        for value, own in ((a, then), (b, orelse)):
-            self.lines = own
+        for value, body in ((a, then), (b, orelse)):
+            self.lines = body
             self.emit(f"{target.text} := {self.converted(value, target.type).text};")
         self.depth -= 1
         self.lines = lines
@@ -615,29 +615,29 @@ class _Printer:
     def _made(self, kind: Any, init: Any) -> Typed:
         target = self.temporary(kind)
         fields = list(self.structs[kind].items())
-        given = {}
-        for k, one in enumerate(init.exprs):
-            if isinstance(one, c_ast.NamedInitializer):
-                given[one.name[0].name] = one.expr
-            elif not (isinstance(one, c_ast.Constant) and len(init.exprs) == 1):
-                given[fields[k][0]] = one
+        values = {}
+        for k, item in enumerate(init.exprs):
+            if isinstance(item, c_ast.NamedInitializer):
+                values[item.name[0].name] = item.expr
+            elif not (isinstance(item, c_ast.Constant) and len(init.exprs) == 1):
+                values[fields[k][0]] = item
         for name, inner in fields:
-            place = f"{target.text}.{self.word(name)}"
-            if name not in given:
-                self._zero(place, inner)
-            elif isinstance(given[name], c_ast.InitList):
-                self.emit(f"{place} := {self._made(inner, given[name]).text};")
+            element = f"{target.text}.{self.word(name)}"
+            if name not in values:
+                self._zero(element, inner)
+            elif isinstance(values[name], c_ast.InitList):
+                self.emit(f"{element} := {self._made(inner, values[name]).text};")
             else:
-                self.assign(Typed(place, inner), given[name])
+                self.assign(Typed(element, inner), values[name])
         return target
 
-    def _zero(self, place: str, kind: Any) -> None:
+    def _zero(self, variable: str, kind: Any) -> None:
         if kind in self.structs:
             for name, inner in self.structs[kind].items():
-                self._zero(f"{place}.{self.word(name)}", inner)
+                self._zero(f"{variable}.{self.word(name)}", inner)
         elif not isinstance(kind, tuple) or kind[0] == "POINTER":
             zero = {"LREAL": "0.0", "BOOL": "FALSE"}.get(str(kind), "0")
-            self.emit(f"{place} := {zero};")
+            self.emit(f"{variable} := {zero};")
 
     def _e_funccall(self, node: Any, named: bool = False) -> Typed:
         arguments = node.args.exprs if node.args is not None else []
@@ -652,13 +652,13 @@ class _Printer:
         if name not in self.functions:
             raise NotNative(f"structured text of C's {name}")
         result, parameters = self.functions[name]
-        given = []
-        for (word, kind, by_reference), one in zip(parameters, arguments, strict=True):
-            if by_reference and isinstance(one, c_ast.UnaryOp):
-                one = one.expr
-            value = self.expression(one)
-            given.append(f"{self.word(word)} := {value.text if by_reference else self.converted(value, kind).text}")
-        text = f"{self.word(name)}({', '.join(given)})"
+        args = []
+        for (word, kind, by_reference), argument in zip(parameters, arguments, strict=True):
+            if by_reference and isinstance(argument, c_ast.UnaryOp):
+                argument = argument.expr
+            value = self.expression(argument)
+            args.append(f"{self.word(word)} := {value.text if by_reference else self.converted(value, kind).text}")
+        text = f"{self.word(name)}({', '.join(args)})"
         if result == "void":  # in IEC 61131-3 each function has a result, and a call is no statement
             result, named = "BOOL", True
         if named:
@@ -671,8 +671,8 @@ class _Printer:
         word = MATH.get(name) or OWN.get(name)
         if word is None:
             raise NotNative(f"{name} is no function of IEC 61131-3")
-        given = [self.converted(self.expression(a), "LREAL").text for a in arguments]
-        return Typed(f"{word}({', '.join(given)})", "LREAL")
+        args = [self.converted(self.expression(a), "LREAL").text for a in arguments]
+        return Typed(f"{word}({', '.join(args)})", "LREAL")
 
 
 def _library(units: Sequence[Unit]) -> list[Unit]:

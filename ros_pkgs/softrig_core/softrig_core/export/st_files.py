@@ -83,7 +83,7 @@ def executed(text: str, done: Exported, member: Member) -> Executed:
     """
     program, count, differing, wrong = Program(text), 0, 0, 0
     block = program.block()
-    places = {**{f.lower(): f for f in vars(block)}}
+    names = {**{f.lower(): f for f in vars(block)}}
     angles = {
         _plain(f"{identifier(port.name)}_{identifier(label)}")
         for port in member.outputs
@@ -100,14 +100,14 @@ def executed(text: str, done: Exported, member: Member) -> Executed:
         status = int(next(words))
         setattr(block, "t_ns", int(next(words)))  # noqa: B010 - its variables are those of the text
         for name, value in _named(member.inputs, words, "held"):
-            setattr(block, places[name.lower()], value)
+            setattr(block, names[name.lower()], value)
         program.call(block)
         count += 1
         if status == 2 and vars(block)["gave_up"]:  # an input that its port refuses
             continue
         wrong += vars(block)["gave_up"] != (status == 1)
         for name, value in _named(member.outputs, words, "sporadic"):
-            result = getattr(block, places[name.lower()])
+            result = getattr(block, names[name.lower()])
             silent = isinstance(value, float) and not getattr(block, _flag(name, member.outputs), True)
             same = result == value or (result != result and value != value)
             near = isinstance(value, float) and done.libm and _is_near(result, value, name in angles)
@@ -122,20 +122,20 @@ def _is_near(result: float, value: float, is_angle: bool) -> bool:
 
 
 def _flag(name: str, ports: Sequence[Port]) -> str:
-    own = [f"has_{identifier(p.name)}" for p in ports if p.sporadic and name.startswith(f"{identifier(p.name)}_")]
-    return own[0] if own else ""
+    flags = [f"has_{identifier(p.name)}" for p in ports if p.sporadic and name.startswith(f"{identifier(p.name)}_")]
+    return flags[0] if flags else ""
 
 
 def _named(ports: Sequence[Port], words: Iterator[str], flag: str) -> Iterator[tuple[str, float | int | bool]]:
     """Name the values of a row by the ports of the function block."""
     for port in ports:
-        own = identifier(port.name)
+        field = identifier(port.name)
         if getattr(port, flag):
-            yield f"has_{own}", next(words) != "0"
+            yield f"has_{field}", next(words) != "0"
         if port.delayed:
-            yield f"{own}_stamp_ns", int(next(words))
+            yield f"{field}_stamp_ns", int(next(words))
         for label in port.labels:
-            yield _plain(f"{own}_{identifier(label)}"), float.fromhex(next(words))
+            yield _plain(f"{field}_{identifier(label)}"), float.fromhex(next(words))
 
 
 def _plain(name: str) -> str:
@@ -149,18 +149,18 @@ def _data(text: str) -> str:
 
 def _twincat(unit: Unit) -> str:
     """Return a part as a file of TwinCAT 3."""
-    own = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, unit.name + unit.text())}}}"
+    guid = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, unit.name + unit.text())}}}"
     head = '<?xml version="1.0" encoding="utf-8"?>\n<TcPlcObject Version="1.1.0.1" ProductVersion="3.1.4024.0">\n'
     if unit.kind == "TYPE":
         inner = (
-            f'  <DUT Name="{unit.name}" Id="{own}">\n    <Declaration><![CDATA[{_data(unit.text())}]]></Declaration>\n'
+            f'  <DUT Name="{unit.name}" Id="{guid}">\n    <Declaration><![CDATA[{_data(unit.text())}]]></Declaration>\n'
         )
         inner += "  </DUT>\n"
     else:
         colon = f" : {unit.result}" if unit.result else ""
         head_of = "\n".join([f"{unit.kind} {unit.name}{colon}", *unit.head])
         inner = (
-            f'  <POU Name="{unit.name}" Id="{own}" SpecialFunc="None">\n'
+            f'  <POU Name="{unit.name}" Id="{guid}" SpecialFunc="None">\n'
             f"    <Declaration><![CDATA[{_data(head_of)}\n]]></Declaration>\n"
             "    <Implementation>\n      <ST><![CDATA["
             + _data("\n".join(unit.body))
@@ -213,10 +213,10 @@ def _pou(pou: Element, unit: Unit) -> None:
             declared, _, _ = line.partition("(*")
             field, _, kind = declared.strip().rstrip(";").partition(" : ")
             kind, _, first = kind.rstrip("; ").partition(" := ")
-            one = _sub(section, "variable", name=field.strip())
-            _type(_sub(one, "type"), kind)
+            variable = _sub(section, "variable", name=field.strip())
+            _type(_sub(variable, "type"), kind)
             if first:
-                _initial(_sub(one, "initialValue"), first)
+                _initial(_sub(variable, "initialValue"), first)
     text = SubElement(_sub(_sub(pou, "body"), "ST"), "{http://www.w3.org/1999/xhtml}p")
     text.text = "\n".join(unit.body)
 
@@ -226,8 +226,8 @@ def _initial(parent: Element, first: str) -> None:
         _sub(parent, "simpleValue", value=first)
         return
     array = _sub(parent, "arrayValue")
-    for one in first.strip("[]").split(", "):
-        _sub(_sub(array, "value"), "simpleValue", value=one)
+    for number in first.strip("[]").split(", "):
+        _sub(_sub(array, "value"), "simpleValue", value=number)
 
 
 def _type(parent: Element, kind: str) -> None:

@@ -145,31 +145,31 @@ class Program:
             elif line == "END_VAR":
                 section = ""
             elif section:
-                found = re.fullmatch(r"\s*(\w+) : (.*?)(?: := (.*))?;", line)
-                if found is None:
+                match = re.fullmatch(r"\s*(\w+) : (.*?)(?: := (.*))?;", line)
+                if match is None:
                     raise ValueError(f"{name}: {line!r} is no declaration")
-                variables.append((section, found[1], found[2], found[3] or ""))
+                variables.append((section, match[1], match[2], match[3] or ""))
             elif line.strip():
                 body.append(line.strip())
         block = kind == "FUNCTION_BLOCK"
-        own = {v[1] for v in variables} if block else set()
-        out = [f"def {'BLOCK' if block else name}({'me' if block else '**given'}):"]
+        members = {v[1] for v in variables} if block else set()
+        code = [f"def {'BLOCK' if block else name}({'me' if block else '**given'}):"]
         if block:
             self.variables = [(v, t, first) for _, v, t, first in variables]
         else:
             for section, v, t, first in variables:
                 if section == "VAR":
-                    out.append(f"    {v} = {_expression(first) if first else f'new({t!r})'}")
+                    code.append(f"    {v} = {_expression(first) if first else f'new({t!r})'}")
                 else:
                     by_value = section != "VAR_IN_OUT"
-                    out.append(f"    {v} = {f'copied(given[{v!r}])' if by_value else f'given[{v!r}]'}")
-            out.append(f"    {name} = new({result!r})")
+                    code.append(f"    {v} = {f'copied(given[{v!r}])' if by_value else f'given[{v!r}]'}")
+            code.append(f"    {name} = new({result!r})")
         depth = 1
         for line in body:
-            depth = _line(line, out, depth, own, "" if block else name)
+            depth = _line(line, code, depth, members, "" if block else name)
         if not block:
-            out.append(f"    return {name}")
-        text = "\n".join(out)
+            code.append(f"    return {name}")
+        text = "\n".join(code)
         exec(compile(text, f"<structured text of {name}>", "exec"), self.scope)
         if not block:
             function, positional = self.scope[name], [v for s, v, _, _ in variables if s == "VAR_INPUT"]
@@ -177,44 +177,44 @@ class Program:
 
 
 def _by_place(function: Any, names: list[str]) -> Any:
-    return lambda *given, **words: function(**dict(zip(names, given, strict=False)), **words)
+    return lambda *args, **kwargs: function(**dict(zip(names, args, strict=False)), **kwargs)
 
 
-def _line(line: str, out: list[str], depth: int, own: set[str], name: str) -> int:
+def _line(line: str, code: list[str], depth: int, members: set[str], name: str) -> int:
     """Translate one line; return the indentation depth of the next one."""
     pad = "    " * depth
     if match := re.fullmatch(r"(IF|ELSIF) (.*) THEN", line):
         pad = pad if match[1] == "IF" else pad[4:]
-        out.append(f"{pad}{'if' if match[1] == 'IF' else 'elif'} {_expression(match[2], own)}:")
+        code.append(f"{pad}{'if' if match[1] == 'IF' else 'elif'} {_expression(match[2], members)}:")
         return depth + (match[1] == "IF")
     if line == "ELSE":
-        out.append(f"{pad[4:]}else:")
+        code.append(f"{pad[4:]}else:")
         return depth
     if match := re.fullmatch(r"WHILE (.*) DO", line):
-        out.append(f"{pad}while {_expression(match[1], own)}:")
+        code.append(f"{pad}while {_expression(match[1], members)}:")
         return depth + 1
     if line.rstrip(";") in ("END_IF", "END_WHILE"):
         return depth - 1
     if line == ";":
-        out.append(f"{pad}pass")
+        code.append(f"{pad}pass")
         return depth
-    words = {"EXIT;": "break", "CONTINUE;": "continue", "RETURN;": f"return {name}"}
-    if line in words:
-        out.append(f"{pad}{words[line]}")
+    statements = {"EXIT;": "break", "CONTINUE;": "continue", "RETURN;": f"return {name}"}
+    if line in statements:
+        code.append(f"{pad}{statements[line]}")
         return depth
     if not line.endswith(";"):
         raise ValueError(f"{line!r} is no statement")
     target, assigned, value = line[:-1].partition(" := ")
     if assigned and re.fullmatch(r"[\w.\[\]() +*-]+", target) and "(" not in target.partition("[")[0]:
-        out.append(f"{pad}{_expression(target, own)} = copied({_expression(value, own)})")
+        code.append(f"{pad}{_expression(target, members)} = copied({_expression(value, members)})")
     else:
-        out.append(f"{pad}{_expression(line[:-1], own)}")
+        code.append(f"{pad}{_expression(line[:-1], members)}")
     return depth
 
 
 class _Changes(ast.NodeTransformer):
-    def __init__(self, own: set[str]) -> None:
-        self.own = own
+    def __init__(self, members: set[str]) -> None:
+        self.own = members
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         self.generic_visit(node)
@@ -225,10 +225,10 @@ class _Changes(ast.NodeTransformer):
         return ast.Attribute(ast.Name("me", ast.Load()), node.id, node.ctx) if node.id in self.own else node
 
 
-def _expression(text: str, own: set[str] | None = None) -> str:
+def _expression(text: str, members: set[str] | None = None) -> str:
     """Return an expression in Python."""
     text = text.replace(":=", "\0").replace("<>", "!=")
     text = re.sub(r"(?<![<>!=])=(?!=)", "==", text).replace("\0", "=")
     text = re.sub(r"\b[A-Z]+\b", lambda match: _NAMES.get(match[0], match[0]), text)
-    tree = ast.fix_missing_locations(_Changes(own or set()).visit(ast.parse(text.strip(), mode="eval")))
+    tree = ast.fix_missing_locations(_Changes(members or set()).visit(ast.parse(text.strip(), mode="eval")))
     return ast.unparse(tree)

@@ -98,10 +98,10 @@ class Unit:
                 reached.add(name)
                 open_ += re.findall(r"\b\w+(?=\()", known[name])
         functions = [text for name, text in known.items() if name in reached]
-        whole = "".join(functions)
+        code = "".join(functions)
         for name in roots:
             self._check_rooms(name, known)
-        return [text for name, text in self.tables.items() if reads(name, whole)], functions
+        return [text for name, text in self.tables.items() if reads(name, code)], functions
 
     def _check_rooms(self, root: str, known: Mapping[str, str]) -> None:
         """Ensure that each array that a function returns is made only once in a tick, because it has one place in
@@ -217,15 +217,15 @@ class Unit:
 
     def _of_casadi(self, compiled: Compiled) -> tuple[str, Signature]:
         """Return a function that calls one of casadi, whose source becomes a file of its own."""
-        own = f"{self.prefix}_casadi{len(self.sources)}"
-        self.sources[own] = casadi_source(compiled, own)
-        self.libm.update(set(LIBM.findall(self.sources[own])))
+        symbol = f"{self.prefix}_casadi{len(self.sources)}"
+        self.sources[symbol] = casadi_source(compiled, symbol)
+        self.libm.update(set(LIBM.findall(self.sources[symbol])))
         inputs, outputs, *sizes = compiled.sizes
         result = tuple_of([REAL] * sum(outputs))
         name = f"{self.prefix}_call{len(self.done)}"
-        arg, res, whole, work = sizes
+        arg, res, integers, work = sizes
         names, results = [f"p_{k}" for k in range(sum(inputs))], [f"found[{k}]" for k in range(sum(outputs))]
-        heads = ", ".join([f"{self.prefix} *s", *(f"real_t {one}" for one in names)])
+        heads = ", ".join([f"{self.prefix} *s", *(f"real_t {argument}" for argument in names)])
         lines = [
             f"static {self.c(result)} {name}({heads})",
             "{",
@@ -233,11 +233,11 @@ class Unit:
             f"    real_t found[{max(len(results), 1)}] = {{ 0 }};",
             f"    const real_t *arg[{max(arg, 1)}] = {{ 0 }}; /* casadi works in the places behind its arguments */",
             f"    real_t *res[{max(res, 1)}] = {{ 0 }};",
-            f"    long long int iw[{max(whole, 1)}] = {{ 0 }};",
+            f"    long long int iw[{max(integers, 1)}] = {{ 0 }};",
             f"    real_t w[{max(work, 1)}] = {{ 0 }};",
             *(f"    arg[{k}] = &given[{sum(inputs[:k])}];" for k in range(len(inputs))),
             *(f"    res[{k}] = &found[{sum(outputs[:k])}];" for k in range(len(outputs))),
-            f"    if ({own}(arg, res, iw, w, 0) != 0) {{",
+            f"    if ({symbol}(arg, res, iw, w, 0) != 0) {{",
             "        s->discarded = true;",
             "    }",
             f"    return ({self.c(result)}){{ {', '.join(results) or '0'} }};",
@@ -252,15 +252,15 @@ CALLED = "acos acosh asin asinh atan atan2 atanh cos cosh erf exp expm1 hypot lo
 LIBM = re.compile(rf"\b({CALLED.replace(' ', '|')})(?=\()")
 
 
-def casadi_source(compiled: Compiled, own: str) -> str:
+def casadi_source(compiled: Compiled, symbol: str) -> str:
     """Return the C of a casadi function under another name, without the parts for casadi's own loader."""
     title, text = compiled.title, compiled.source
     text = re.sub(r"/\* Configuration this file.*?_real_size\(void\)[^\n]*\n", "", text, flags=re.DOTALL)
-    text = text.replace(f"#define CASADI_PREFIX(ID) {title}_ ## ID", f"#define CASADI_PREFIX(ID) {own}_ ## ID")
+    text = text.replace(f"#define CASADI_PREFIX(ID) {title}_ ## ID", f"#define CASADI_PREFIX(ID) {symbol}_ ## ID")
     head = f"CASADI_SYMBOL_EXPORT int {title}("
     before, _, after = text.partition(head)
     body, end, _ = after.partition("\n}\n")
-    return before + f"int {own}(" + body + end
+    return before + f"int {symbol}(" + body + end
 
 
 def literal(value: Any) -> str:

@@ -44,17 +44,17 @@ def link_units(member: Member, block: Unit | None) -> list[Unit]:
     """
     n, plant = identifier(member.name), issubclass(member.block_class, Plant)
     times = [("moves", "BOOL"), ("from_ns", "LINT"), ("t_ns", "LINT")] if plant else [("t_ns", "LINT")]
-    given, back = _fields(member.inputs, "held"), _fields(member.outputs, "sporadic")
+    inputs, back = _fields(member.inputs, "held"), _fields(member.outputs, "sporadic")
     ends = [("number", "UDINT"), ("session", "UDINT")], [("again", "UDINT")]
-    request = [*ends[0], ("first", "BOOL"), *times, *given, *ends[1]]
+    request = [*ends[0], ("first", "BOOL"), *times, *inputs, *ends[1]]
     answer = [*ends[0], ("gave_up", "BOOL"), *back, *ends[1]]
     types = [
         Packed("TYPE", f"{n}_{word}", [], fields=fields) for word, fields in (("request", request), ("answer", answer))
     ]
-    return [*types, _program(n, member, block, [name for name, _ in given], [name for name, _ in back])]
+    return [*types, _program(n, member, block, [name for name, _ in inputs], [name for name, _ in back])]
 
 
-def _program(n: str, member: Member, block: Unit | None, given: Sequence[str], back: Sequence[str]) -> Unit:
+def _program(n: str, member: Member, block: Unit | None, received: Sequence[str], back: Sequence[str]) -> Unit:
     head = [
         "VAR",
         f"    request : {n}_request; (* softrig writes it *)",
@@ -69,10 +69,10 @@ def _program(n: str, member: Member, block: Unit | None, given: Sequence[str], b
         work = [
             "        block.restart := request.first;",
             "        block.t_ns := request.t_ns;",
-            *(f"        block.{of} := request.{name};" for of, name in zip(inputs[2:], given, strict=True)),
+            *(f"        block.{field} := request.{name};" for field, name in zip(inputs[2:], received, strict=True)),
             "        block();",
             "        answer.gave_up := block.gave_up;",
-            *(f"        answer.{name} := block.{of};" for of, name in zip(outputs[1:], back, strict=True)),
+            *(f"        answer.{name} := block.{field};" for field, name in zip(outputs[1:], back, strict=True)),
         ]
     body = [
         "IF (request.number = request.again) AND (request.number <> answer.number) THEN",
@@ -91,18 +91,18 @@ def _program(n: str, member: Member, block: Unit | None, given: Sequence[str], b
 
 def _declared(block: Unit, section: str) -> list[str]:
     """Return the names of the inputs or outputs of a function block, in order."""
-    at = block.head.index(section) + 1
-    return [line.split(":")[0].strip() for line in block.head[at : block.head.index("END_VAR", at)]]
+    start = block.head.index(section) + 1
+    return [line.split(":")[0].strip() for line in block.head[start : block.head.index("END_VAR", start)]]
 
 
 def _fields(ports: Sequence[Port], flag: str) -> list[tuple[str, str]]:
     """Return the fields of ports, in the order of `Layout`."""
     result: list[tuple[str, str]] = []
     for port in ports:
-        own = identifier(port.name)
-        result += [(f"has_{own}", "BOOL")] if getattr(port, flag) else []
-        result += [(f"{own}_stamp_ns", "LINT")] if port.delayed else []
-        result += [(f"{own}_{identifier(label)}", "LREAL") for label in port.labels]
+        field = identifier(port.name)
+        result += [(f"has_{field}", "BOOL")] if getattr(port, flag) else []
+        result += [(f"{field}_stamp_ns", "LINT")] if port.delayed else []
+        result += [(f"{field}_{identifier(label)}", "LREAL") for label in port.labels]
     names = [name.lower() for name, _ in result]
     for name in names:
         if names.count(name) > 1:
@@ -135,6 +135,6 @@ def main(arguments: Sequence[str]) -> int:
     for name, text in written([*units, *link], member.name, "tcpou").items():
         with naming(folder / name):
             (folder / name).write_text(text, encoding="utf-8")
-    what = "add your code to it" if empty else f"calls {units[-1].name}"
-    print(f"{folder}: {len(units) + len(link)} files; {link[-1].name}.TcPOU {what} and is the firmware of a link")
+    note = "add your code to it" if empty else f"calls {units[-1].name}"
+    print(f"{folder}: {len(units) + len(link)} files; {link[-1].name}.TcPOU {note} and is the firmware of a link")
     return 0

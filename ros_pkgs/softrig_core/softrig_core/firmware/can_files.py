@@ -67,8 +67,8 @@ def _source(
 ) -> str:
     assert messages.hello is not None
     assert messages.ready is not None
-    given, back = _places(inputs, "in", "held"), _places(outputs, "out", "sporadic")
-    parts = [line for k, frame in enumerate(messages.to) for line in _unpacking(k, frame, given)]
+    fields, back = _places(inputs, "in", "held"), _places(outputs, "out", "sporadic")
+    parts = [line for k, frame in enumerate(messages.to) for line in _unpacking(k, frame, fields)]
     answers = [line for k, frame in enumerate(messages.back) for line in _packed(k, frame, back)]
     num, den = period
     time = f"k * INT64_C({num})" if den == 1 else f"(k * INT64_C({num})) / INT64_C({den})"
@@ -107,45 +107,45 @@ def _places(ports: Sequence[Port], struct: str, flag: str) -> list[str]:
     return result
 
 
-def _unpacking(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
+def _unpacking(k: int, frame: Frame, fields: Sequence[str]) -> Iterator[str]:
     """Write code that unpacks a message for the node."""
     yield f"if (id == {frame.message.frame_id:#x}u) {{"
     yield f"    part = {1 << k:#x}u;"
-    for place, signal in frame.signals:
-        at, bits = _bits(signal)
-        if places[place].startswith("s->in.has_"):
-            yield f"    {places[place]} = sr_can_get(data, {at}u, {bits}u) != 0u;"
+    for index, signal in frame.signals:
+        start, bits = _bits(signal)
+        if fields[index].startswith("s->in.has_"):
+            yield f"    {fields[index]} = sr_can_get(data, {start}u, {bits}u) != 0u;"
             continue
-        raw = f"sr_can_get(data, {at}u, {bits}u)"
+        raw = f"sr_can_get(data, {start}u, {bits}u)"
         number = f"sr_can_float({raw})" if signal.is_float else f"sr_can_signed({raw}, {bits}u)"
         number = number if signal.is_float or signal.is_signed else f"(double){raw}"
-        yield f"    {places[place]} = (real_t)({number} * {_number(signal.scale)} + {_number(signal.offset)});"
+        yield f"    {fields[index]} = (real_t)({number} * {_number(signal.scale)} + {_number(signal.offset)});"
     yield "}"
 
 
-def _packed(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
+def _packed(k: int, frame: Frame, fields: Sequence[str]) -> Iterator[str]:
     """Write code that packs a message of the node; a value beyond the range of its signal is limited first."""
     yield f"s->frames[{k}].id = {frame.message.frame_id:#x}u;"
     yield f"sr_can_put(s->frames[{k}].data, 0u, 16u, s->tick);"
     yield f"sr_can_put(s->frames[{k}].data, 16u, 8u, s->run);"
-    for place, signal in frame.signals:
-        at, bits = _bits(signal)
-        value = places[place]
+    for index, signal in frame.signals:
+        start, bits = _bits(signal)
+        value = fields[index]
         if value.startswith("s->out.has_"):
-            yield f"sr_can_put(s->frames[{k}].data, {at}u, {bits}u, {value} ? 1u : 0u);"
+            yield f"sr_can_put(s->frames[{k}].data, {start}u, {bits}u, {value} ? 1u : 0u);"
             continue
         most = LARGEST_FLOAT[64]
         low, high = (_number(most * sign if end is None else end)
                      for end, sign in ((signal.minimum, -1.0), (signal.maximum, 1.0)))  # fmt: skip
-        inside = (
+        limited = (
             f"(sr_can_limited((double){value}, {low}, {high}) - {_number(signal.offset)}) / {_number(signal.scale)}"
         )
         half = 1 << bits - 1
         least, largest = (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
-        code = f"sr_can_of_float({inside})"
+        code = f"sr_can_of_float({limited})"
         if not signal.is_float:
-            code = f"(uint32_t)(int64_t)rint(sr_can_limited({inside}, {_number(least)}, {_number(largest)}))"
-        yield f"sr_can_put(s->frames[{k}].data, {at}u, {bits}u, {code});"
+            code = f"(uint32_t)(int64_t)rint(sr_can_limited({limited}, {_number(least)}, {_number(largest)}))"
+        yield f"sr_can_put(s->frames[{k}].data, {start}u, {bits}u, {code});"
 
 
 def _number(value: float) -> str:

@@ -89,25 +89,25 @@ def checked(folder: Path, name: str, layout: Layout, board: str) -> Checked:
                 f"{name} does not fit an Uno: {flash} of {FLASH} bytes of flash, {ram} bytes of RAM and {stack} of "
                 f"stack of {RAM}"
             )
-        here = _host(folder, name, Path(scratch), layout)
+        host = _host(folder, name, Path(scratch), layout)
         described = json.loads((folder / f"{name}.json").read_text())
         over, under = described["period_s"]
         kind = "simavr" if board == "arduino" else "qemu"
-        of = Build(described["digest"], (over, under), layout)
-        line, mine = (_line(f"{k}:{f}", of) for k, f in ((kind, folder / f"{name}.elf"), ("program", here)))
+        expected = Build(described["digest"], (over, under), layout)
+        line, reference = (_line(f"{k}:{f}", expected) for k, f in ((kind, folder / f"{name}.elf"), ("program", host)))
         rows = differing = 0
         try:
             for step in _steps((folder / f"{name}_rows.txt").read_text(), layout):
                 if step is None:
                     line.begin(b"")
-                    mine.begin(b"")
+                    reference.begin(b"")
                     continue
                 rows += 1
-                differing += not _same(line.ask(Kind.STEP, step), mine.ask(Kind.STEP, step), layout.answer)
+                differing += not _same(line.ask(Kind.STEP, step), reference.ask(Kind.STEP, step), layout.answer)
             longest = _longest(line, board)
         finally:
             line.close()
-            mine.close()
+            reference.close()
     unit = "cycles" if board == "arduino" else "instructions"
     return Checked(rows, differing, unit, longest, flash, ram, stack)
 
@@ -126,28 +126,28 @@ def _longest(line: Line, board: str) -> int:
     return round(line.longest * PER_TICK_NS / INSTRUCTION_NS)
 
 
-def _same(one: bytes, other: bytes, layout: struct.Struct) -> bool:
+def _same(first: bytes, second: bytes, layout: struct.Struct) -> bool:
     """Return whether two answers have the same numbers; all NaNs are equal, whatever their bits."""
-    if one == other:
+    if first == second:
         return True
-    if len(one) != layout.size or len(other) != layout.size:
+    if len(first) != layout.size or len(second) != layout.size:
         return False
-    pairs = list(zip(layout.unpack(one), layout.unpack(other), strict=True))
+    pairs = list(zip(layout.unpack(first), layout.unpack(second), strict=True))
     return all((a == b and math.copysign(1.0, a) == math.copysign(1.0, b)) or (a != a and b != b) for a, b in pairs)
 
 
 def _steps(rows: str, layout: Layout) -> Iterator[bytes | None]:
     """Yield the golden rows as values of steps, some of the run and some drawn; None restores the first state."""
     moved: list[Any] = []
-    given = sequence = 0
+    count = sequence = 0
     for line in rows.splitlines():
         if line == "init":
             sequence += 1
-            given = given if sequence > 2 else 0
+            count = count if sequence > 2 else 0
             moved = []
             yield None
             continue
-        if given >= (RUN if sequence == 1 else DRAWN):
+        if count >= (RUN if sequence == 1 else DRAWN):
             if sequence > 1:
                 return
             continue
@@ -164,16 +164,16 @@ def _steps(rows: str, layout: Layout) -> Iterator[bytes | None]:
             step = layout.step.pack(*row)
         except OverflowError:  # beyond the board's float
             continue
-        given += 1
+        count += 1
         yield step
 
 
 def _inputs(numbers: Sequence[str], layout: Layout) -> list[Any]:
     result: list[Any] = []
-    at = iter(numbers)
+    words = iter(numbers)
     for port in layout.inputs:
-        result += [int(next(at)) for _ in range(port.held + port.delayed)]
-        result += [float.fromhex(next(at)) for _ in range(port.size)]
+        result += [int(next(words)) for _ in range(port.held + port.delayed)]
+        result += [float.fromhex(next(words)) for _ in range(port.size)]
     return result
 
 
@@ -186,17 +186,17 @@ def _tool(name: str, install: str) -> str:
     return result
 
 
-def _run(command: Sequence[str], what: str, folder: Path) -> str:
+def _run(command: Sequence[str], subject: str, folder: Path) -> str:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise ScenarioError(f"{Path(command[0]).name} refuses {what}: {done.stderr.strip()[-1500:]}")
+        raise ScenarioError(f"{Path(command[0]).name} refuses {subject}: {done.stderr.strip()[-1500:]}")
     return done.stdout
 
 
 def _own(folder: Path, name: str) -> list[str]:
     """Return the C files of a node, of its link, and those that CasADi has generated."""
-    others = json.loads((folder / f"{name}.json").read_text())["sources"]
-    return [str((folder / f).resolve()) for f in (f"{name}.c", f"{name}_link.c", *others)]
+    further = json.loads((folder / f"{name}.json").read_text())["sources"]
+    return [str((folder / f).resolve()) for f in (f"{name}.c", f"{name}_link.c", *further)]
 
 
 def _host(folder: Path, name: str, scratch: Path, layout: Layout) -> Path:
@@ -279,8 +279,8 @@ def _stack(tool: str, elf: str, scratch: Path, address: int) -> int:
     usage: dict[str, int] = {}
     for file in scratch.glob("*.su"):
         for line in file.read_text().splitlines():
-            place, size, _ = line.split("\t")
-            usage[place.rpartition(":")[2].rpartition(" ")[2]] = int(size)
+            location, size, _ = line.split("\t")
+            usage[location.rpartition(":")[2].rpartition(" ")[2]] = int(size)
     calls: dict[str, set[str]] = {}
     pushed: dict[str, int] = {}
     now = ""

@@ -168,16 +168,16 @@ def link_files(name: str, layout: Layout) -> dict[str, str]:
     layout : Layout
         Of its frames.
     """
-    given = {"n": name, "N": name.upper(), "room": layout.room}
-    given |= {"step": layout.step.size, "answer": layout.answer.size, "params": layout.params.size}
-    given["read"] = _lines([*_times(layout), *_moved("read", "l->in", layout.inputs, "held")])
-    given["write"] = _lines(_moved("write", "l->out", layout.outputs, "sporadic") or ["(void)l;"])
-    given["call"] = _lines(_call(name, layout))
-    given["set"], given["params_case"] = _settable(name, layout)
+    fields = {"n": name, "N": name.upper(), "room": layout.room}
+    fields |= {"step": layout.step.size, "answer": layout.answer.size, "params": layout.params.size}
+    fields["read"] = _lines([*_times(layout), *_moved("read", "l->in", layout.inputs, "held")])
+    fields["write"] = _lines(_moved("write", "l->out", layout.outputs, "sporadic") or ["(void)l;"])
+    fields["call"] = _lines(_call(name, layout))
+    fields["set"], fields["params_case"] = _settable(name, layout)
     return {
         SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
-        f"{name}_link.h": _HEADER.format(**given),
-        f"{name}_link.c": _SOURCE.format(**given),
+        f"{name}_link.h": _HEADER.format(**fields),
+        f"{name}_link.c": _SOURCE.format(**fields),
     }
 
 
@@ -209,21 +209,21 @@ def _call(name: str, layout: Layout) -> list[str]:
     ]
 
 
-def _moved(way: str, struct: str, ports: Sequence[Port], flag: str) -> list[str]:
+def _moved(verb: str, struct: str, ports: Sequence[Port], flag: str) -> list[str]:
     """Write code that reads or writes the values of ports, one after the other."""
-    at, lines = {"read": "from", "write": "to"}[way], []
+    ptr, lines = {"read": "from", "write": "to"}[verb], []
     for port in ports:
         name = identifier(port.name)
         if getattr(port, flag):
-            if way == "read":
+            if verb == "read":
                 lines += [f"{struct}.has_{name} = (*from != 0u);", "from++;"]
             else:
                 lines += [f"*to = {struct}.has_{name} ? 1u : 0u;", "to++;"]
         if port.delayed:
-            lines.append(f"{at} = sr_{way}({at}, &{struct}.{name}_stamp_ns, 8);")
+            lines.append(f"{ptr} = sr_{verb}({ptr}, &{struct}.{name}_stamp_ns, 8);")
         if port.size:
-            lines.append(f"{at} = sr_{way}({at}, {struct}.{name}, (uint16_t)({port.size}u * sizeof(real_t)));")
-    return [*lines, "(void)from;"] if way == "read" else lines
+            lines.append(f"{ptr} = sr_{verb}({ptr}, {struct}.{name}, (uint16_t)({port.size}u * sizeof(real_t)));")
+    return [*lines, "(void)from;"] if verb == "read" else lines
 
 
 def _settable(name: str, layout: Layout) -> tuple[str, str]:
@@ -231,8 +231,8 @@ def _settable(name: str, layout: Layout) -> tuple[str, str]:
     if not layout.settable:
         return "", ""
     reads = []
-    for key, of in layout.settable.items():
-        size = "8" if of is int else "(uint16_t)sizeof(real_t)"
+    for key, kind in layout.settable.items():
+        size = "8" if kind is int else "(uint16_t)sizeof(real_t)"
         reads.append(f"    from = sr_read(from, &l->params.{identifier(key)}, {size});")
     function = [
         "",
