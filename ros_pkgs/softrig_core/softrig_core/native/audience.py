@@ -134,12 +134,12 @@ class Audience:
         """Pass the answers of the steps to their recorders."""
         times: dict[tuple[Any, range], Any] = {}
         for s in core:
-            own = self._plan.own(s.schedule, first, last)
-            if s.link is None or not own:
+            span = self._plan.own(s.schedule, first, last)
+            if s.link is None or not span:
                 continue
-            if (ticks := (s.schedule.period, own)) not in times:
-                times[ticks] = _times(s.schedule, own.start, own.stop)
-            s.link.send_all(times[ticks], *(rows[id(s)] if s.outputs else nothing(len(own))))
+            if (ticks := (s.schedule.period, span)) not in times:
+                times[ticks] = _times(s.schedule, span.start, span.stop)
+            s.link.send_all(times[ticks], *(rows[id(s)] if s.outputs else nothing(len(span))))
 
     def watch(self, recorded: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
         """Show the answers to blocks that only watch, tick after tick."""
@@ -168,12 +168,12 @@ class Audience:
             for s, every, begin, (numbers, stamps), readers in messages:
                 # Before the first tick of a node in this stretch its subscribers still hold its message of the stretch
                 # before.
-                if (at := k // every - begin) >= 0:
+                if (index := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
                     if not s.plain:
-                        s.mark(s.t, parted(s.outputs, numbers[at], stamps[at]))
+                        s.mark(s.t, parted(s.outputs, numbers[index], stamps[index]))
                     for fill, where in readers:
-                        row = part(numbers[at], stamps[at], where)
+                        row = part(numbers[index], stamps[index], where)
                         if row is not None:
                             fill.set_value(row)
             for w, every in watchers:
@@ -203,7 +203,7 @@ class Audience:
             watcher.link.send_all(watcher.schedule.times(ticks.start, ticks.stop), *nothing(len(ticks)))
         return True
 
-    def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
+    def _seen(self, source: Step, watcher: Step, ticks: range, numbers: Any) -> dict[str, Messages] | None:
         """Return a member's messages that a watcher reads, by input; None if the watcher must run at each tick."""
         result: dict[str, Messages] = {}
         every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
@@ -211,12 +211,12 @@ class Audience:
         # Only where one period divides the other are the messages that the watcher sees evenly spaced.
         if readings and max(every, often) % min(every, often):
             return None
-        seen = slice(-own.start % step, None, step)
+        every_nth = slice(-ticks.start % step, None, step)
         for fill, (low, _, _, flag) in readings:
             # Stamps are not in the table of numbers, and with silences the newest message is not at an even spacing.
             if fill.stamp != "none" or (flag is not None and step > 1):
                 return None
-            stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
+            stamps, table = source.schedule.times(ticks.start, ticks.stop)[every_nth], numbers[every_nth]
             if flag is not None:
                 stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
             values = [table[:, low + p] if type(p) is int else np.full(len(table), p) for p in fill.places]

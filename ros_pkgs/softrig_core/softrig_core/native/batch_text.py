@@ -59,43 +59,43 @@ class Form:
             kind, parts = tree
             inner = "".join(f"{self.read(program, part)}, " for part in parts)
             return f"{program.name(kind, kind.__name__) if hasattr(kind, '_fields') else ''}({inner})"
-        _, table, at, kind = tree
+        _, table, col, kind = tree
         if kind is complex:
-            return f"complex(F[i, {at}], F[i, {at + 1}])"
-        return f"({table}[i, {at}] != 0)" if kind is bool else f"{table}[i, {at}]"
+            return f"complex(F[i, {col}], F[i, {col + 1}])"
+        return f"({table}[i, {col}] != 0)" if kind is bool else f"{table}[i, {col}]"
 
     def write(self, name: str) -> list[str]:
         """Write code that stores a state in row i."""
         result = []
-        for path, table, at, kind in self.parts:
+        for path, table, col, kind in self.parts:
             value = f"{name}{''.join(f'[{k}]' for k in path)}"
             parts = [f"{value}.real", f"{value}.imag"] if kind is complex else [value]
-            result += [f"{table}[i, {at + j}] = {part}" for j, part in enumerate(parts)]
+            result += [f"{table}[i, {col + j}] = {part}" for j, part in enumerate(parts)]
         return result
 
-    def put(self, state: Any, numbers: Any, whole: Any) -> None:
+    def put(self, state: Any, numbers: Any, ints: Any) -> None:
         """Write a state of this form into a row."""
-        for path, table, at, kind in self.parts:
+        for path, table, col, kind in self.parts:
             value = state
             for k in path:
                 value = value[k]
             if table == "I":
-                whole[at] = value
+                ints[col] = value
             else:
                 parts = (value.real, value.imag) if kind is complex else (value,)
-                numbers[at : at + len(parts)] = parts
+                numbers[col : col + len(parts)] = parts
 
-    def get(self, numbers: Any, whole: Any, tree: Any = ()) -> Any:
+    def get(self, numbers: Any, ints: Any, tree: Any = ()) -> Any:
         """Return the state that is in a row."""
         tree = self.tree if tree == () else tree
         if tree is None:
             return None
         if len(tree) == 2:
             kind, parts = tree
-            results = [self.get(numbers, whole, part) for part in parts]
+            results = [self.get(numbers, ints, part) for part in parts]
             return kind(*results) if hasattr(kind, "_fields") else tuple(results)
-        _, table, at, kind = tree
-        return complex(*numbers[at : at + 2]) if kind is complex else kind((numbers if table == "F" else whole)[at])
+        _, table, col, kind = tree
+        return complex(*numbers[col : col + 2]) if kind is complex else kind((numbers if table == "F" else ints)[col])
 
 
 def remembered(agent: Step, steps: Sequence[Step], before: Sequence[tuple[Any, tuple[float, ...]]]) -> tuple[Any, Any]:
@@ -140,7 +140,7 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
         Part of the steps is not supported by native code.
     """
     turns = Turns(steps)
-    if odd := [one.fill.port.name for one in turns.kept]:
+    if odd := [holding.fill.port.name for holding in turns.kept]:
         raise NotNative(f"{odd[0]}: what is silent at times, or late, has no form in batches yet")
     turns.check_times()
     program = turns.program
@@ -152,12 +152,12 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
         body += turns.given(k, texts) if steps[k] is agent else turns.turn(k, act)
     states, last = form.tree[1]
     handed = sorted(turns.arrays)
-    at = [0, *accumulate(len(s.numbers) for s in steps)]
+    offsets = [0, *accumulate(len(s.numbers) for s in steps)]
     every = turns.plan.every(agent.schedule)
-    given = ", ".join(["begin", "end", "n", "c", "F", "I", "R", "A", "K", *(_whole(a, program) for a in handed)])
-    kept = ", ".join(f"({''.join(f'{name}{k}, ' for k, _ in enumerate(steps))})" for name in "xr")
+    names = ", ".join(["begin", "end", "n", "c", "F", "I", "R", "A", "K", *(_whole(a, program) for a in handed)])
+    results = ", ".join(f"({''.join(f'{name}{k}, ' for k, _ in enumerate(steps))})" for name in "xr")
     text = [
-        f"def rig({given}):",
+        f"def rig({names}):",
         "    for i in range(begin, end):",
         "        n[0] = i",
         # Python advances such an instance: its episode has begun just now, or the text does not fit it.
@@ -172,12 +172,12 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
         *(f"            {line}" for line in body),
         # A row keeps what is before the agent's tick; what follows is only for R and is computed again in the next
         # call.
-        f"        z_ = ({kept})",
+        f"        z_ = ({results})",
         f"        k = K[i] + {every}",
         f"        t = {turns.time('k')}",
         *(f"        {line}" for line in before),
         "        K[i] = k",
-        *(f"        R[{at[k] + j}, i] = r{k}[{j}]" for k, s in enumerate(steps) for j, _ in enumerate(s.numbers)),
+        *(f"        R[{offsets[k] + j}, i] = r{k}[{j}]" for k, s in enumerate(steps) for j, _ in enumerate(s.numbers)),
         *(f"        {line}" for line in form.write("z_")),
     ]
     rig = "\n".join(text)

@@ -159,13 +159,13 @@ class Calls(Expressions):
             if level == len(node.generators):
                 items.append(self._held(read()) if self._inside else read())
                 return
-            part = node.generators[level]
-            values = self.listed(part.iter)
+            generator = node.generators[level]
+            values = self.listed(generator.iter)
             if values is None:
                 raise self.unknown("a list of no fixed length", node)
             for value in values:
-                self.assign(part.target, value, apart=True)
-                tests = [self.test(t) for t in part.ifs]
+                self.assign(generator.target, value, apart=True)
+                tests = [self.test(t) for t in generator.ifs]
                 if any(isinstance(t, str) for t in tests):
                     raise self.unknown("a list whose length is computed", node)
                 if all(tests):
@@ -212,9 +212,9 @@ class Calls(Expressions):
 
     def _until(self, stop: bool, node: ast.GeneratorExp) -> Value:
         """Translate `any` or `all`; tests after the deciding one are not computed, because they may raise."""
-        part = node.generators[0]
-        values = self.listed(part.iter)
-        if len(node.generators) > 1 or part.ifs or values is None:
+        generator = node.generators[0]
+        values = self.listed(generator.iter)
+        if len(node.generators) > 1 or generator.ifs or values is None:
             raise self.unknown("`any` or `all` of tests that may raise, over more than one sequence", node)
         name, outer, values = self._fresh(), dict(self.env), [self._held(v) for v in values]
         self.emit(f"{name} = {not stop}")
@@ -222,13 +222,13 @@ class Calls(Expressions):
         def turn(k: int) -> None:
             if k == len(values):
                 return
-            self.assign(part.target, values[k], apart=True)
+            self.assign(generator.target, values[k], apart=True)
             test = self.test(node.elt)
-            ways = (lambda: self.emit(f"{name} = {stop}")), (lambda: turn(k + 1))
+            branches = (lambda: self.emit(f"{name} = {stop}")), (lambda: turn(k + 1))
             if isinstance(test, bool):
-                ways[test is not stop]()
+                branches[test is not stop]()
             else:
-                self._fork(test, self.sampled, ways[not stop], ways[stop])
+                self._fork(test, self.sampled, branches[not stop], branches[stop])
 
         turn(0)
         self.env = outer
@@ -241,15 +241,15 @@ class Calls(Expressions):
             self.program.objects[value.path] = result
         return Dynamic(self.program.name(result, type(result).__name__), result)
 
-    def _made(self, kind: type, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
+    def _made(self, kind: type, args: Sequence[Value], kwargs: Mapping[str, Value], node: ast.AST) -> Value:
         """Create an object that has another type in native code; everything that decides its size is fixed."""
-        bound = inspect.signature(kind).bind(*given, **words).arguments
-        of: Any = kind
-        sizes = [bound[name] for name in inspect.signature(of.rows).parameters]
+        bound = inspect.signature(kind).bind(*args, **kwargs).arguments
+        cls: Any = kind
+        sizes = [bound[name] for name in inspect.signature(cls.rows).parameters]
         if not all(isinstance(v, Static) for v in sizes):
             raise self.unknown(f"{kind.__name__} of a size that is computed", node)
-        rows = of.rows(*(self.program.guard(v) for v in sizes))
-        return made(self.program, of.RING.begin, [Static(rows)], bound, self.arrays)
+        rows = cls.rows(*(self.program.guard(v) for v in sizes))
+        return made(self.program, cls.RING.begin, [Static(rows)], bound, self.arrays)
 
     def _age(self, block: Block, wanted: Value) -> Value:
         """Return the age of an input: a known value, or an expression."""
@@ -261,27 +261,27 @@ class Calls(Expressions):
 
     def _arguments(self, node: ast.Call) -> tuple[list[Value], dict[str, Value]]:
         """Return the positional and the keyword arguments of a call."""
-        given: list[Value] = []
-        for one in node.args:
-            if isinstance(one, ast.Starred):
-                listed = self.listed(one.value)
+        args: list[Value] = []
+        for item in node.args:
+            if isinstance(item, ast.Starred):
+                listed = self.listed(item.value)
                 if listed is None:
                     raise self.unknown("something of no fixed length", node)
-                given += listed
+                args += listed
             else:
-                given.append(self.value(one))
-        words: dict[str, Value] = {}
+                args.append(self.value(item))
+        kwargs: dict[str, Value] = {}
         for word_ in node.keywords:
             if word_.arg is None:
                 more = self.value(word_.value)
                 if not isinstance(more, Record):
                     raise self.unknown("** of something that is not written out", node)
-                words |= more.items
+                kwargs |= more.items
             else:
-                words[word_.arg] = self.value(word_.value)
-        return given, words
+                kwargs[word_.arg] = self.value(word_.value)
+        return args, kwargs
 
-    def _reported(self, own: Static, node: ast.Call) -> Value:
+    def _reported(self, block: Static, node: ast.Call) -> Value:
         """Count a report, and keep the numbers of its text if that is needed."""
         reports, numbers = self.program.reports, list[str]()
         parts = wording(node.args[2]) if len(node.args) == 3 and not node.keywords else None
@@ -297,10 +297,10 @@ class Calls(Expressions):
             self.program.guard(key)
         text = self._worded(parts or [], numbers, node) if reports.worded else _nothing
         numbers = numbers or ["0.0"]
-        at = reports.add(self.program.number(own.value), self.program.guard(level), name, text, len(numbers))
+        number = reports.add(self.program.number(block.value), self.program.guard(level), name, text, len(numbers))
         self.program.words.add("reported_")
         self.arrays.add("reports")
-        self.emit(f"reported_(reports, {at}, ({''.join(f'{x}, ' for x in numbers)}))")
+        self.emit(f"reported_(reports, {number}, ({''.join(f'{x}, ' for x in numbers)}))")
         return NONE
 
     def _worded(
@@ -332,28 +332,28 @@ class Calls(Expressions):
         number = type(sample)
         if number not in (float, int, bool, complex):
             raise self.unknown(f"a report of {kind_of(value)}", node)
-        at, code = len(numbers), self.simple(self.dynamic(value)).code
+        first, code = len(numbers), self.simple(self.dynamic(value)).code
         if number is complex:
             numbers += [f"{code}.real", f"{code}.imag"]
-            return lambda row: complex(row[at], row[at + 1])
+            return lambda row: complex(row[first], row[first + 1])
         # The table of reports holds floats, and a larger whole number would lose digits in the text.
         if number is int:
             self.emit(f"if not -{EXACT} < {code} < {EXACT}:")
             self.emit(f"    {GIVEN_UP}")
         numbers.append(f"float({code})")
-        return lambda row: number(row[at])
+        return lambda row: number(row[first])
 
     def _of_base(self, node: ast.Call) -> Value:
         """Call a method of a base class."""
         assert isinstance(node.func, ast.Attribute)
         # `__class__` is the cell with the class in which the method is defined; the block may be of a class derived
         # from it.
-        owner, own = self.outer("__class__", node), self.env[self.function.__code__.co_varnames[0]]
-        if not isinstance(own, Static):
+        owner, instance = self.outer("__class__", node), self.env[self.function.__code__.co_varnames[0]]
+        if not isinstance(instance, Static):
             raise self.unknown("super() of something that is computed", node)
-        result = getattr(super(owner, own.value), node.func.attr)
-        given, words = self._arguments(node)
-        return made(self.program, result.__func__, [own, *given], words, self.arrays)
+        result = getattr(super(owner, instance.value), node.func.attr)
+        args, kwargs = self._arguments(node)
+        return made(self.program, result.__func__, [instance, *args], kwargs, self.arrays)
 
     def _method(self, base: Value, node: ast.Call) -> Value:
         assert isinstance(node.func, ast.Attribute)
@@ -375,17 +375,17 @@ class Calls(Expressions):
             return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
         if not self.program.typed and isinstance(base, Dynamic) and hasattr(sample, "native") and hasattr(sample, name):
             # The object is a value that Python has: with arguments of the same types it returns the same type.
-            given = [self.dynamic(self.value(a)) for a in node.args]
-            samples = [v.sample for v in given]
-            if node.keywords or not all(map(is_sure, given)) or any(v is None for v in samples):
+            args = [self.dynamic(self.value(a)) for a in node.args]
+            samples = [v.sample for v in args]
+            if node.keywords or not all(map(is_sure, args)) or any(v is None for v in samples):
                 raise self.unknown(f".{name}() of {kind_of(base)} with what may be None", node)
             result = computed(getattr(sample, name), *samples)
-            return Dynamic(f"{base.code}.{name}({', '.join(v.code for v in given)})", result, result is not UNKNOWN)
-        own = class_of(sample)
-        method = getattr(own, name, None) if own is not None else None
+            return Dynamic(f"{base.code}.{name}({', '.join(v.code for v in args)})", result, result is not UNKNOWN)
+        cls = class_of(sample)
+        method = getattr(cls, name, None) if cls is not None else None
         if isinstance(method, types.FunctionType):
-            by_place, words = self._arguments(node)
-            return made(self.program, method, [base, *by_place], words, self.arrays)
+            by_place, kwargs = self._arguments(node)
+            return made(self.program, method, [base, *by_place], kwargs, self.arrays)
         raise self.unknown(f".{name}() of {kind_of(base)}", node)
 
     def _replaced(
@@ -401,7 +401,7 @@ class Calls(Expressions):
         ]
         return self.named(kind, parts, node)
 
-    def call(self, function: Value, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
+    def call(self, function: Value, args: Sequence[Value], kwargs: Mapping[str, Value], node: ast.AST) -> Value:
         """Call something."""
         if not isinstance(function, Static):
             raise self.unknown("a call of something that is computed", node)
@@ -410,34 +410,34 @@ class Calls(Expressions):
         if function.path is not None and not isinstance(called, types.MethodType) and not own_table:
             self.program.guard(function)
         if isinstance(called, Jit):
-            return self._native(called, given, node)
+            return self._native(called, args, node)
         if called is power:
-            return self._written("power", power, given)
+            return self._written("power", power, args)
         if isinstance(called, Draws):
-            return self._drawn(function, given[0])
+            return self._drawn(function, args[0])
         if isinstance(called, Newest) and function.path is not None:
-            return self._newest(called, function.path, given[0])
+            return self._newest(called, function.path, args[0])
         if isinstance(called, Compiled):
-            return self._compiled(function, given, node)
+            return self._compiled(function, args, node)
         if isinstance(called, partial):
             # The guard of a partial contains its arguments, so they need no paths of their own.
             return self.call(
                 Static(called.func),
-                [*map(Static, called.args), *given],
-                {k: Static(v) for k, v in called.keywords.items()} | dict(words),
+                [*map(Static, called.args), *args],
+                {k: Static(v) for k, v in called.keywords.items()} | dict(kwargs),
                 node,
             )
         if isinstance(called, types.MethodType):
-            return self._of_object(called, function.path, given, words, node)
+            return self._of_object(called, function.path, args, kwargs, node)
         if isinstance(called, types.BuiltinMethodType) and isinstance(called.__self__, Mapping):
             table = Static(called.__self__, None if function.path is None else function.path[:-1])
-            return self._of_mapping(called.__name__, table, given, node)
-        if called is dataclasses.replace and isinstance(given[0], Dynamic) and hasattr(type(given[0].sample), OF):
-            return self._replaced(given[0], given[1:], words, node)
+            return self._of_mapping(called.__name__, table, args, node)
+        if called is dataclasses.replace and isinstance(args[0], Dynamic) and hasattr(type(args[0].sample), OF):
+            return self._replaced(args[0], args[1:], kwargs, node)
         if isinstance(called, types.FunctionType):
-            return made(self.program, called, given, words, self.arrays)
+            return made(self.program, called, args, kwargs, self.arrays)
         if isinstance(called, type) and self.program.inferred and hasattr(called, "RING"):
-            return self._made(called, given, words, node)
+            return self._made(called, args, kwargs, node)
         if isinstance(called, type) and is_twinned(called):
             called = twin(called)
         if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
@@ -446,7 +446,7 @@ class Calls(Expressions):
             if "_fields" not in vars(maker):
                 raise self.unknown(f"{called.__name__}, which has a __new__ of its own", node)
             defaults = {k: Static(v) for k, v in called._field_defaults.items()}  # type: ignore[attr-defined]
-            bound = dict(zip(called._fields, given, strict=False)) | dict(words)
+            bound = dict(zip(called._fields, args, strict=False)) | dict(kwargs)
             try:
                 return self.named(called, [bound[f] if f in bound else defaults[f] for f in called._fields], node)
             except KeyError as error:
@@ -456,11 +456,11 @@ class Calls(Expressions):
             and not isinstance(called, (type, types.BuiltinFunctionType))
             and isinstance(getattr(type(called), "__call__", None), types.FunctionType)  # noqa: B004 - its function
         ):
-            return made(self.program, type(called).__call__, [function, *given], words, self.arrays)  # type: ignore[arg-type]
-        return self._builtin(called, list(given), words, node)
+            return made(self.program, type(called).__call__, [function, *args], kwargs, self.arrays)  # type: ignore[arg-type]
+        return self._builtin(called, list(args), kwargs, node)
 
-    def _written(self, name: str, function: Callable[..., Any], given: Sequence[Value]) -> Dynamic:
-        values = [self.dynamic(v) for v in given]
+    def _written(self, name: str, function: Callable[..., Any], args: Sequence[Value]) -> Dynamic:
+        values = [self.dynamic(v) for v in args]
         if name == "power":
             self.program.names["power"] = power
         code = f"{name}({', '.join(v.code for v in values)})"
@@ -471,8 +471,8 @@ class Calls(Expressions):
             sample = computed(function, *(TAME if isinstance(s, float) else s for s in samples))
         return Dynamic(code, sample)
 
-    def _native(self, function: Jit, given: Sequence[Value], node: ast.AST) -> Dynamic:
-        values = [self.dynamic(v) for v in given]
+    def _native(self, function: Jit, args: Sequence[Value], node: ast.AST) -> Dynamic:
+        values = [self.dynamic(v) for v in args]
         # The function may write into its arguments, which are the states and constants of the blocks.
         samples = deepcopy([v.sample for v in values])
         sample = computed(function.py_func, *samples)
@@ -494,11 +494,11 @@ class Calls(Expressions):
         self.emit(f"    {GIVEN_UP}")
         return Static(called.answer, (*path, ("attr", "answer")))
 
-    def _compiled(self, function: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
+    def _compiled(self, function: Static, args: Sequence[Value], node: ast.AST) -> Dynamic:
         called = function.value
-        if len(given) != 1 or called.symbol is None or function.path is None:
+        if len(args) != 1 or called.symbol is None or function.path is None:
             raise self.unknown("a casadi function that is not compiled", node)
-        values = [self.dynamic(v) for v in self.parts(given[0], node)]
+        values = [self.dynamic(v) for v in self.parts(args[0], node)]
         name = self.program.scratch(function.path)
         self.arrays.add(name)
         results = computed(called, tuple(v.sample for v in values))
@@ -529,7 +529,7 @@ class Calls(Expressions):
             computed(lambda *s: function(s), *(sample_of(v) for v in values)),
         )
 
-    def _of_mapping(self, name: str, table: Static, given: Sequence[Value], node: ast.AST) -> Value:
+    def _of_mapping(self, name: str, table: Static, args: Sequence[Value], node: ast.AST) -> Value:
         """Call a method of a mapping that is fixed: `items`, `values`, `keys` or `get`."""
         if name in ("items", "values", "keys"):
             keys = tuple(table.value)
@@ -542,111 +542,111 @@ class Calls(Expressions):
             return Group(tuple(values)) if name == "values" else Static(keys)
         if name != "get":
             raise self.unknown(f".{name}() of a mapping", node)
-        if isinstance(given[0], Static):
-            return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
-        return self._got(table, given, node)
+        if isinstance(args[0], Static):
+            return Static(self.program.guard(table).get(*(self.program.guard(v) for v in args)))  # type: ignore[arg-type]
+        return self._got(table, args, node)
 
-    def _got(self, table: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
+    def _got(self, table: Static, args: Sequence[Value], node: ast.AST) -> Dynamic:
         """Look up a key that may be missing."""
         if not self.program.inferred:
-            return self._table_value(table, given[0], node)
-        return self._table_value(table, given[0], node, given[1] if len(given) > 1 else NONE)
+            return self._table_value(table, args[0], node)
+        return self._table_value(table, args[0], node, args[1] if len(args) > 1 else NONE)
 
     def _of_object(
         self,
         called: types.MethodType,
         path: Path | None,
-        given: Sequence[Value],
-        words: Mapping[str, Value],
+        args: Sequence[Value],
+        kwargs: Mapping[str, Value],
         node: ast.AST,
     ) -> Value:
         """Call a method of an object that is fixed."""
-        own = called.__self__
-        if isinstance(own, Block) and called.__func__ is Block.report:
+        owner = called.__self__
+        if isinstance(owner, Block) and called.__func__ is Block.report:
             self._give_up()
             return NONE
-        if called.__name__ == "_make" and isinstance(own, type) and hasattr(own, "_fields"):
-            return self.named(own, self.parts(given[0], node), node)
+        if called.__name__ == "_make" and isinstance(owner, type) and hasattr(owner, "_fields"):
+            return self.named(owner, self.parts(args[0], node), node)
         home = None if path is None else path[:-1]
-        if isinstance(own, Mapping) and called.__name__ == "get":
-            return self._got(Static(own, home), given, node)
+        if isinstance(owner, Mapping) and called.__name__ == "get":
+            return self._got(Static(owner, home), args, node)
         if path is not None:
             parent = type(follow(path[:-1], self.program.roots))
             if getattr(parent, str(path[-1][1]), None) is not called.__func__:
                 # A method stored under another name: a block with other parameters may have another one there.
                 self.program.guard(Static(called, path))
-        if path and own is not follow(path[:-1], self.program.roots):
+        if path and owner is not follow(path[:-1], self.program.roots):
             home = (*path, ("attr", "__self__"))  # a method that another object has lent, or that stands in a table
-        if isinstance(own, type):
+        if isinstance(owner, type):
             home = None
-        return made(self.program, called.__func__, [Static(own, home), *given], words, self.arrays)  # type: ignore[arg-type]
+        return made(self.program, called.__func__, [Static(owner, home), *args], kwargs, self.arrays)  # type: ignore[arg-type]
 
-    def _builtin(self, called: Any, given: list[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
-        if words:
+    def _builtin(self, called: Any, args: list[Value], kwargs: Mapping[str, Value], node: ast.AST) -> Value:
+        if kwargs:
             raise self.unknown(f"{getattr(called, '__name__', called)} with words", node)
-        if called is np.array and len(given) == 1:
-            numbers = [self.dynamic(v) for v in self.parts(given[0], node)]
+        if called is np.array and len(args) == 1:
+            numbers = [self.dynamic(v) for v in self.parts(args[0], node)]
             if not all(isinstance(v.sample, (float, int)) for v in numbers):
                 raise self.unknown("an array of something else than numbers", node)
             return Dynamic(
                 f"array_(({''.join(f'float({v.code}), ' for v in numbers)}))",
                 np.array([float(v.sample) for v in numbers]),
             )
-        if called in (min, max) and len(given) == 1:
-            given = self.parts(given[0], node)
+        if called in (min, max) and len(args) == 1:
+            args = self.parts(args[0], node)
         if called is len:
-            base = given[0]
+            base = args[0]
             if isinstance(base, Dynamic) and isinstance(base.sample, np.ndarray):
                 return Dynamic(f"len({base.code})", len(base.sample))
             return Static(len(self.parts(base, node)))
         if called is isinstance:
-            if not isinstance(given[0], Static) and not is_sure(given[0]):
+            if not isinstance(args[0], Static) and not is_sure(args[0]):
                 raise self.unknown("isinstance of something that is computed", node)
-            return Static(isinstance(sample_of(given[0]), sample_of(given[1])))
-        if called is getattr and isinstance(given[0], Static) and isinstance(given[1], Static):
-            return self.attribute(given[0], given[1].value, node)
+            return Static(isinstance(sample_of(args[0]), sample_of(args[1])))
+        if called is getattr and isinstance(args[0], Static) and isinstance(args[1], Static):
+            return self.attribute(args[0], args[1].value, node)
         if _changes(called):
             raise self.unknown(f"{called.__name__}, which changes an object outside of the state", node)
         if _outside(called):
             raise self.unknown(f"{called.__name__}, which does not depend on its arguments alone", node)
-        fixed = [v for v in given if isinstance(v, Static)]
-        if len(fixed) == len(given) and not any(v.path is not None and is_number_slot(v.value) for v in fixed):
+        fixed = [v for v in args if isinstance(v, Static)]
+        if len(fixed) == len(args) and not any(v.path is not None and is_number_slot(v.value) for v in fixed):
             try:
                 return Static(called(*(self.program.guard(v) for v in fixed)))
             except NotNative as error:
                 raise self.unknown(str(error), node) from None
             except Exception as error:
                 raise self.unknown(f"{type(error).__name__}: {error}", node) from None
-        return self._computed(called, given, node)
+        return self._computed(called, args, node)
 
-    def _computed(self, called: Any, given: list[Value], node: ast.AST) -> Value:
+    def _computed(self, called: Any, args: list[Value], node: ast.AST) -> Value:
         """Call a function of Python's own with something that is computed."""
-        samples = [sample_of(v) for v in given]
+        samples = [sample_of(v) for v in args]
         if called in (min, max):
-            return self._extreme(called, given, node)
+            return self._extreme(called, args, node)
         if called is float and isinstance(samples[0], bool):
-            return Dynamic(f"(1.0 if {self.code(given[0])} else 0.0)", float(samples[0]))
+            return Dynamic(f"(1.0 if {self.code(args[0])} else 0.0)", float(samples[0]))
         if called in (abs, float) and isinstance(samples[0], (float, int)):
-            return self._written(called.__name__, called, given)
+            return self._written(called.__name__, called, args)
         if called is abs and isinstance(samples[0], complex):
             self.program.words.add("abs_")
-            return self._written("abs_", abs, given)
+            return self._written("abs_", abs, args)
         if called is bool:
-            test = self.truth(given[0])
+            test = self.truth(args[0])
             return Static(test) if isinstance(test, bool) else Dynamic(f"({test})", self.sampled)
         if called is complex:
-            return self._written("complex", complex, given)
-        if called is round and len(given) > 1 and self.program.inferred:
+            return self._written("complex", complex, args)
+        if called is round and len(args) > 1 and self.program.inferred:
             return MADE_TEXT  # what is rounded to digits is shown, not computed with
-        if called is round and len(given) > 1:
+        if called is round and len(args) > 1:
             raise self.unknown("round to digits", node)
         if called is int and isinstance(samples[0], bool):
-            return self._written("int", int, given)
+            return self._written("int", int, args)
         name = word(called) if isinstance(called, (types.BuiltinFunctionType, type)) else None
         if name is not None:
             if name in TEXTS:
                 self.program.words.add(name)
-            return self._written(name, called, given)
+            return self._written(name, called, args)
         if (isinstance(called, types.BuiltinFunctionType) and getattr(called, "__module__", "") == "numpy") or (
             isinstance(called, np.ufunc)
         ):
@@ -654,18 +654,18 @@ class Calls(Expressions):
             raise self.unknown(f"numpy.{called.__name__}", node)
         raise self.unknown(f"{getattr(called, '__qualname__', type(called).__name__)}()", node)
 
-    def _extreme(self, called: Any, given: Sequence[Value], node: ast.AST) -> Value:
+    def _extreme(self, called: Any, args: Sequence[Value], node: ast.AST) -> Value:
         """Write min and max as comparisons: the first of equal ones, as in Python, including NaN."""
-        values = [self.simple(self.dynamic(v)) for v in given]
+        values = [self.simple(self.dynamic(v)) for v in args]
         best = values[0]
         sign = "<" if called is min else ">"
-        for one in values[1:]:
-            sample = computed(called, best.sample, one.sample)
-            if isinstance(sample, int) and not all(isinstance(v.sample, int) for v in (best, one)):
+        for item in values[1:]:
+            sample = computed(called, best.sample, item.sample)
+            if isinstance(sample, int) and not all(isinstance(v.sample, int) for v in (best, item)):
                 # Python's result is one of the two objects, but native code has one type for both.
                 sample = float(sample)
-            code = f"({one.code} if {one.code} {sign} {best.code} else {best.code})"
-            best = self.simple(Dynamic(code, sample)) if one is not values[-1] else Dynamic(code, sample)
+            code = f"({item.code} if {item.code} {sign} {best.code} else {best.code})"
+            best = self.simple(Dynamic(code, sample)) if item is not values[-1] else Dynamic(code, sample)
         return best
 
 
@@ -688,7 +688,7 @@ def _numbers(value: Any) -> Any:
 def _outside(called: Any) -> bool:
     """Return whether a call reads or changes something outside of the program, such as the time."""
     owner = getattr(called, "__self__", None)
-    homes = {getattr(one, "__module__", None) for one in (called, owner)} | {getattr(owner, "__name__", None)}
+    homes = {getattr(item, "__module__", None) for item in (called, owner)} | {getattr(owner, "__name__", None)}
     return not WORLD.isdisjoint(homes) or (isinstance(called, types.BuiltinFunctionType) and called in OUTSIDE)
 
 

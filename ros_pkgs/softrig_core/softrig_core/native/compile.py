@@ -28,7 +28,7 @@ BASE: dict[str, Any] = {
 }
 
 
-def compiled(made: RigText) -> Callable[..., Any]:
+def compiled(rig: RigText) -> Callable[..., Any]:
     """Return the function of a rig; compiled at its first call, or found in the cache.
 
     Returns
@@ -42,7 +42,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
     from ..kit._jit_cache import Cache
 
     _teach(numba)
-    names = made.program.names
+    names = rig.program.names
     scope = {"same_": same, **BASE}
     # Where Python would raise (division by zero, a wrong index) the text has to raise as well, so that the tick is
     # discarded.
@@ -50,32 +50,32 @@ def compiled(made: RigText) -> Callable[..., Any]:
     options = {"error_model": "python", "boundscheck": True, "nogil": True}
     # Only the rig's function calls the others, so they need no wrappers, which take time to compile.
     inner = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    content = hashlib.sha256(HOW + f"{options} {inner}\0{made.text}".encode())
-    for name, thing in names.items():
+    content = hashlib.sha256(HOW + f"{options} {inner}\0{rig.text}".encode())
+    for name, value in names.items():
         content.update(f"\0{name}\0".encode())
-        if isinstance(thing, Compiled):
-            scope[name] = _external(numba, thing)
-            content.update(str(thing.symbol).encode())
+        if isinstance(value, Compiled):
+            scope[name] = _external(numba, value)
+            content.update(str(value.symbol).encode())
             continue
-        scope[name] = thing
-        for token in tokens_of(thing, set()):
+        scope[name] = value
+        for token in tokens_of(value, set()):
             content.update(token.encode())
     # numba's cache looks for the module of the functions that it finds.
     scope["__name__"] = __name__
-    exec(code_of(made.text, "rig"), scope)
-    for name, thing in list(scope.items()):
-        if callable(thing) and getattr(thing, "__globals__", None) is scope:
+    exec(code_of(rig.text, "rig"), scope)
+    for name, value in list(scope.items()):
+        if callable(value) and getattr(value, "__globals__", None) is scope:
             # The symbol is made of this name, and two texts from the cache must not share one in a process.
-            thing.__qualname__ = f"{name}_{content.hexdigest()[:32]}"
+            value.__qualname__ = f"{name}_{content.hexdigest()[:32]}"
             more = {} if name == "rig" else inner
-            scope[name] = numba.njit(**options, **more, pipeline_class=Borrowing)(thing)
+            scope[name] = numba.njit(**options, **more, pipeline_class=Borrowing)(value)
     result: Any = scope["rig"]
     # A class that cannot be imported would be another one in the next process, so such a text is not cached.
     result._cache = Cache("rig", content.hexdigest(), (b"__main__", b"<locals>"))
     return result  # type: ignore[no-any-return]
 
 
-def plain(made: RigText) -> Callable[..., Any]:
+def plain(rig: RigText) -> Callable[..., Any]:
     """Return the function of a rig in Python: it needs no compilation and is faster than single ticks.
 
     Returns
@@ -83,15 +83,15 @@ def plain(made: RigText) -> Callable[..., Any]:
     callable
         As `compiled`, but its tables are lists.
     """
-    names = made.program.names
+    names = rig.program.names
     scope = {"same_": same, "only_floats": only_floats, "sum_of_products": sum_of_products, **BASE, **OWN, **names}
-    exec(code_of(made.text, "rig"), scope)
-    for name, thing in names.items():
-        if isinstance(thing, Jit):
-            scope[name] = thing.direct
-        elif isinstance(thing, Compiled):
+    exec(code_of(rig.text, "rig"), scope)
+    for name, value in names.items():
+        if isinstance(value, Jit):
+            scope[name] = value.direct
+        elif isinstance(value, Compiled):
             # Python calls a casadi function with values; only native code needs the memory in which it works.
-            scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
+            scope[name.removesuffix("_there")] = lambda s, *values, value=value: value(values)
     return scope["rig"]  # type: ignore[no-any-return]
 
 
@@ -120,5 +120,5 @@ def _external(numba: Any, compiled: Compiled) -> Any:
     from numba.core import types
 
     binding.add_symbol(compiled.symbol, compiled.address)
-    place = types.uintp
-    return types.ExternalFunction(str(compiled.symbol), types.int32(place, place, place, place, types.int64))
+    pointer = types.uintp
+    return types.ExternalFunction(str(compiled.symbol), types.int32(pointer, pointer, pointer, pointer, types.int64))

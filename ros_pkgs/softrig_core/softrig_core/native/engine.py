@@ -132,7 +132,7 @@ class Engine:
         """Report to the steps which of them ran natively, and how far."""
         result = self.native
         ticks = {"were given up": result.given_up, "decided something": result.decided}
-        left = [f"{count:,} of its ticks {what}" for what, count in ticks.items() if count]
+        left = [f"{count:,} of its ticks {text}" for text, count in ticks.items() if count]
         reason = result.reason or ", ".join(left)
         # A text that Python runs is not native.
         for s in self.steps if self._typed else ():
@@ -257,13 +257,13 @@ class Engine:
 
     def _next_change(self, k: int) -> int:
         """Return the first tick, from k on, at whose time parameters must have changed."""
-        at = min(s.change_at for s in self.steps)
-        if at == math.inf:
+        t = min(s.change_at for s in self.steps)
+        if t == math.inf:
             # Larger than the number of any tick, so that it never bounds a stretch.
             return 1 << 62
-        first = self._plan.clock.tick(int(at))
+        first = self._plan.clock.tick(int(t))
         # `tick` rounds, so its result may lie before the time of the change.
-        return max(k, first if self._time(first) >= at else first + 1)
+        return max(k, first if self._time(first) >= t else first + 1)
 
     def _next_stop(self, k: int) -> int:
         """Return the first tick, from k on, that is one of Python's."""
@@ -357,20 +357,20 @@ class Engine:
         """Run the ticks that a node requires in Python, then continue natively; outputs are published in one batch at
         the end.
         """
-        at, fit, core = first, self._fit, self._core
+        start, fit, core = first, self._fit, self._core
         assert fit is not None
 
         def hand_out() -> None:
-            whole = fit.answers(reached)
+            answered = fit.answers(reached)
             try:
-                self._audience.watch(fit.recorded, first, reached, whole)
+                self._audience.watch(fit.recorded, first, reached, answered)
             finally:
-                self._audience.hand_out(core.steps, first, reached, whole)
+                self._audience.hand_out(core.steps, first, reached, answered)
 
         # A search stops native code every few ticks. Recording after each of these stretches would cost more than the
         # stretch itself, so answers of the ticks in Python go into the same tables and all are published in one batch.
         while True:
-            self._apply(fit, at, reached, after)
+            self._apply(fit, start, reached, after)
             if reached == last or not self._decided(reached):
                 break
             # The answers of this tick go into the tables, so its messages are published by themselves only if the run
@@ -392,10 +392,10 @@ class Engine:
                 if self._plan.due(s.schedule, reached):
                     row = len(self._plan.own(s.schedule, first, reached))
                     fit.rows[id(s)].put(row, numbers_of(s), stamps_of(s))
-            reached = at = reached + 1
+            reached = start = reached + 1
             if reached == last or self._others() or any(s.bad for s in core.steps):
                 break
-            reached, after = fit.call(at, last)
+            reached, after = fit.call(start, last)
             if after is None:
                 break
         hand_out()

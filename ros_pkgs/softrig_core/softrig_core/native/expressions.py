@@ -71,11 +71,11 @@ class Expressions(Ways):
 
     def _value_tuple(self, node: ast.Tuple | ast.List) -> Value:
         items: list[Value] = []
-        for one in node.elts:
-            if isinstance(one, ast.Starred):
-                items += self.parts(self.value(one.value), one)
+        for item in node.elts:
+            if isinstance(item, ast.Starred):
+                items += self.parts(self.value(item.value), item)
             else:
-                items.append(self.value(one))
+                items.append(self.value(item))
         if items and all(isinstance(v, Static) and v.path is None for v in items):
             return Static(tuple(v.value for v in items if isinstance(v, Static)))
         return Group(tuple(items))
@@ -84,9 +84,9 @@ class Expressions(Ways):
 
     def _value_dict(self, node: ast.Dict) -> Value:
         items: dict[str, Value] = {}
-        for key, one in zip(node.keys, node.values, strict=True):
+        for key, item in zip(node.keys, node.values, strict=True):
             if key is None:
-                more = self.value(one)
+                more = self.value(item)
                 if isinstance(more, Dynamic) and more.keys is not None:
                     more = self.unfolded(more)
                 if not isinstance(more, Record):
@@ -96,7 +96,7 @@ class Expressions(Ways):
             name = self.value(key)
             if not isinstance(name, Static) or not isinstance(name.value, str):
                 raise self.unknown("a mapping whose keys are computed", node)
-            items[self.program.guard(name)] = self.value(one)
+            items[self.program.guard(name)] = self.value(item)
         return Record(items)
 
     def _value_namedexpr(self, node: ast.NamedExpr) -> Value:
@@ -122,13 +122,13 @@ class Expressions(Ways):
                 base = self.simple(base)
                 result = getattr(base.sample, name)
                 return Dynamic(f"{base.code}.{name}", result, base.sure)
-            own = class_of(base.sample)
-            if own is not None and base.keys is None and hasattr(own, name):
-                result = inspect.getattr_static(own, name)
+            cls = class_of(base.sample)
+            if cls is not None and base.keys is None and hasattr(cls, name):
+                result = inspect.getattr_static(cls, name)
                 if isinstance(result, property) and isinstance(result.fget, types.FunctionType):
                     return made(self.program, result.fget, [base], {}, self.arrays)
                 if not callable(result):
-                    return Static(getattr(own, name))
+                    return Static(getattr(cls, name))
             # In a text that is not compiled such an object stays one of Python, with its own attributes.
             if not self.program.typed and hasattr(base.sample, "native") and hasattr(base.sample, name):
                 return Dynamic(f"{base.code}.{name}", getattr(base.sample, name))
@@ -161,16 +161,16 @@ class Expressions(Ways):
             keys = kinds.pop() if len(kinds) == 1 else None
             if keys is not None and base.path is not None:
                 self.program.guards[(*base.path, ("item", 0))] = ("keys", tuple(base.value[0]))
-        table, at = self.dynamic(base), self.dynamic(index)
+        table, position = self.dynamic(base), self.dynamic(index)
         if table.parts or table.sample is UNKNOWN:
             raise self.unknown("an item of something that is not a table", node)
         # numba needs one type for an item whose place is computed.
         if isinstance(table.sample, tuple) and len({shape(v) for v in table.sample}) != 1:
             raise self.unknown("an item of a tuple of several types", node)
-        sample = computed(lambda a, k: a[k], table.sample, at.sample)
+        sample = computed(lambda a, k: a[k], table.sample, position.sample)
         if sample is UNKNOWN and isinstance(table.sample, tuple) and table.sample:
             sample = table.sample[0]
-        code = f"{self.simple(table).code}[{at.code}]"
+        code = f"{self.simple(table).code}[{position.code}]"
         if isinstance(sample, np.floating):
             code, sample = f"float({code})", float(sample)
         if isinstance(sample, np.integer):
@@ -205,26 +205,26 @@ class Expressions(Ways):
             return self._part(simple, key % len(base.sample))
         return None
 
-    def _table_value(self, table: Static, key: Value, node: ast.AST, other: Value | None = None) -> Dynamic:
-        """Look up a computed key in a fixed mapping; if it is missing, use the `other` value or discard the tick."""
+    def _table_value(self, table: Static, key: Value, node: ast.AST, default: Value | None = None) -> Dynamic:
+        """Look up a computed key in a fixed mapping; if it is missing, use the `default` value or discard the tick."""
         entries = list(table.value.items())
         if len(entries) > LONGEST:
             raise self.unknown(f"a mapping of {len(entries)}, expected at most {LONGEST}", node)
         if table.path is not None:
             self.program.guard(table)
-        at = self.simple(self.dynamic(key))
+        key_value = self.simple(self.dynamic(key))
         name = f"look{len(self.program.functions)}"
         # Native code has no mappings, so a lookup is a chain of comparisons.
         lines = [f"def {name}(k):"]
         for k, v in entries:
             keys = k if isinstance(k, tuple) else (k,)
-            places = [f"k[{i}]" for i in range(len(keys))] if isinstance(k, tuple) else ["k"]
-            parts = [f"{place} == {self.code(Static(p))}" for place, p in zip(places, keys, strict=True)]
+            items = [f"k[{i}]" for i in range(len(keys))] if isinstance(k, tuple) else ["k"]
+            parts = [f"{item} == {self.code(Static(p))}" for item, p in zip(items, keys, strict=True)]
             lines += [f"    if {' and '.join(parts)}:", f"        return {self.code(Static(v))}"]
-        last = GIVEN_UP if other is None else f"return {self.code(other)}"
+        last = GIVEN_UP if default is None else f"return {self.code(default)}"
         self.program.functions.append("\n".join([*lines, f"    {last}"]))
-        sample = computed(lambda k: table.value[k], at.sample)
-        return Dynamic(f"{name}({at.code})", entries[0][1] if sample is UNKNOWN else sample, other is None)
+        sample = computed(lambda k: table.value[k], key_value.sample)
+        return Dynamic(f"{name}({key_value.code})", entries[0][1] if sample is UNKNOWN else sample, default is None)
 
     def _sliced(self, base: Value, part: ast.Slice, node: ast.AST) -> Value:
         ends = []
@@ -299,19 +299,19 @@ class Expressions(Ways):
             sample = x.sample
         if isinstance(sample, np.ndarray):
             raise self.unknown("arithmetic of whole arrays", node)
-        whole = all(_is_whole(v.sample) for v in (x, y))
+        integers = all(_is_whole(v.sample) for v in (x, y))
         # numba's whole numbers have 64 bits and wrap silently, Python's do not.
-        own = WRAPS.get(text, "") if whole and self.program.typed else ""
+        wrapper = WRAPS.get(text, "") if integers and self.program.typed else ""
         # A change of sign cannot overflow in the range that `plus_` and `times_` leave.
-        if text == "*" and whole and any(isinstance(v, Static) and abs(v.value) == 1 for v in (left, right)):
-            own = ""
+        if text == "*" and integers and any(isinstance(v, Static) and abs(v.value) == 1 for v in (left, right)):
+            wrapper = ""
         few = any(isinstance(v, Static) and abs(v.value) <= FEW for v in (left, right))
-        if own == "times_" or (own and not few):
-            self.program.words.add(own)
-            return Dynamic(f"{own}({x.code}, {y.code})", sample)
+        if wrapper == "times_" or (wrapper and not few):
+            self.program.words.add(wrapper)
+            return Dynamic(f"{wrapper}({x.code}, {y.code})", sample)
         # Python rounds the quotient of two whole numbers once. Native code converts them to floats first, which is the
         # same only as long as both are exact.
-        if text == "/" and whole and self.program.typed:
+        if text == "/" and integers and self.program.typed:
             self.program.words.add("exact_")
             x, y = (replace(v, code=f"exact_({v.code})") if _is_large(v) else v for v in (x, y))
         return Dynamic(f"({x.code} {text} {y.code})", sample, is_sure(x) and is_sure(y))
@@ -346,21 +346,21 @@ class Expressions(Ways):
         remaining = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
         if isinstance(first, bool):
             return stop if first is stop else self.test(remaining)
-        sampled, at, before = self.sampled, len(self.lines), dict(self.env)
+        sampled, start, before = self.sampled, len(self.lines), dict(self.env)
         try:
-            other: bool | str | None = self.test(remaining)
+            second: bool | str | None = self.test(remaining)
         except NotNative:
-            other = None
+            second = None
         # An expression serves only if nothing has to be computed before it, and no name is bound in it.
-        if other is not None and len(self.lines) == at and not self.ended and self.as_before(before):
-            if isinstance(other, bool):
+        if second is not None and len(self.lines) == start and not self.ended and self.as_before(before):
+            if isinstance(second, bool):
                 self.sampled = sampled
-                return stop if other is stop else first
+                return stop if second is stop else first
             self.sampled = self._either(stop, sampled, self.sampled)
-            return f"({first} {'or' if stop else 'and'} {other})"
+            return f"({first} {'or' if stop else 'and'} {second})"
         # Python computes the right side only if it is needed, so its lines must be inside a test: it is read again
         # there.
-        del self.lines[at:]
+        del self.lines[start:]
         self.env, self.ended = before, False
         name = self._fresh()
 
@@ -370,16 +370,16 @@ class Expressions(Ways):
                 self.emit(f"{name} = bool({result})")
             return result if isinstance(result, bool) else self.sampled
 
-        ways: list[Callable[[], Any]] = [lambda: self.emit(f"{name} = {stop}"), long]
-        pair = self._fork(first, sampled, ways[not stop], ways[stop])
+        branches: list[Callable[[], Any]] = [lambda: self.emit(f"{name} = {stop}"), long]
+        pair = self._fork(first, sampled, branches[not stop], branches[stop])
         self.sampled = self._either(stop, sampled, pair[1] if stop else pair[0])
         return name
 
     @staticmethod
-    def _either(stop: bool, one: Any, other: Any) -> Any:
-        if one is not UNKNOWN and bool(one) is stop:
+    def _either(stop: bool, first: Any, second: Any) -> Any:
+        if first is not UNKNOWN and bool(first) is stop:
             return stop
-        return computed(bool, other) if one is not UNKNOWN else UNKNOWN
+        return computed(bool, second) if first is not UNKNOWN else UNKNOWN
 
     def _value_boolop(self, node: ast.BoolOp) -> Value:
         stop = isinstance(node.op, ast.Or)
@@ -393,8 +393,8 @@ class Expressions(Ways):
         sampled, first = self.sampled, self.simple(self.dynamic(left))
         test = self.truth(first)
         assert isinstance(test, str)
-        ways: list[Callable[[], Value]] = [lambda: first, lambda: self.value(remaining)]
-        return self._chosen(test, sampled, ways[not stop], ways[stop], node)
+        branches: list[Callable[[], Value]] = [lambda: first, lambda: self.value(remaining)]
+        return self._chosen(test, sampled, branches[not stop], branches[stop], node)
 
     def _value_compare(self, node: ast.Compare) -> Value:
         if any(map(may_raise, node.comparators[1:])):
@@ -405,16 +405,16 @@ class Expressions(Ways):
             right = self.value(right_node)
             if len(node.ops) > 1 and isinstance(right, Dynamic):
                 right = self.simple(right)
-            one = self._compared(op, left, right, node)
+            comparison = self._compared(op, left, right, node)
             if result is None or (isinstance(result, Static) and result.value is True):
-                result = one
+                result = comparison
             elif isinstance(result, Static):
                 return result
-            elif isinstance(one, Static):
-                if one.value is False:
-                    return one
+            elif isinstance(comparison, Static):
+                if comparison.value is False:
+                    return comparison
             else:
-                a, b = self.dynamic(result), self.dynamic(one)
+                a, b = self.dynamic(result), self.dynamic(comparison)
                 result = Dynamic(f"({a.code} and {b.code})", computed(lambda p, q: p and q, a.sample, b.sample))
             left = right
         assert result is not None
@@ -423,7 +423,7 @@ class Expressions(Ways):
     def _in_turn(self, node: ast.Compare) -> Value:
         """Translate a chained comparison; later terms are computed only if the earlier comparisons are true."""
         # With spaces in them, these are no names of the function.
-        first, second = (f"{part} of {self._fresh()}" for part in ("left", "right"))
+        first, second = (f"{side} of {self._fresh()}" for side in ("left", "right"))
         self.env[first], self.env[second] = (self._held(self.value(v)) for v in (node.left, node.comparators[0]))
         middle = ast.Name(second, ast.Load())
         head = ast.Compare(ast.Name(first, ast.Load()), node.ops[:1], [middle])
@@ -470,10 +470,10 @@ class Expressions(Ways):
         if (x.sample is None or y.sample is None) and not self.program.inferred:
             raise self.unknown("a comparison with None", node)
         sample = computed(lambda a, b: bool(function(a, b)), x.sample, y.sample)
-        for whole, other, words in ((x, y, "{} {} 0.0"), (y, x, "0.0 {1} {0}")):
-            if self.program.typed and _is_whole(whole.sample) and type(other.sample) is float and _is_large(whole):
+        for integer, real, form in ((x, y, "{} {} 0.0"), (y, x, "0.0 {1} {0}")):
+            if self.program.typed and _is_whole(integer.sample) and type(real.sample) is float and _is_large(integer):
                 self.program.words.add("apart_")
-                return Dynamic(f"({words.format(f'apart_({whole.code}, {other.code})', text)})", sample)
+                return Dynamic(f"({form.format(f'apart_({integer.code}, {real.code})', text)})", sample)
         return Dynamic(f"({x.code} {text} {y.code})", sample)
 
     def truth(self, value: Value) -> bool | str:
@@ -501,14 +501,14 @@ class Expressions(Ways):
         if value.sample is None and is_sure(value):
             return False
         self.sampled = computed(bool, value.sample)
-        there = ""
+        guard = ""
         if self.program.inferred and not is_sure(value):  # None is not true, but neither is it 0
             value = self.simple(value)
-            there = f"{value.code} is not None and "
+            guard = f"{value.code} is not None and "
         if isinstance(value.sample, bool):
-            return f"({there}{value.code})" if there else value.code
+            return f"({guard}{value.code})" if guard else value.code
         if isinstance(value.sample, (int, float, complex)) or value.sample is UNKNOWN:
-            return f"({there}{value.code} != 0)"
+            return f"({guard}{value.code} != 0)"
         raise self.unknown(f"whether {kind_of(value)} is true")
 
     def _value_ifexp(self, node: ast.IfExp) -> Value:

@@ -88,7 +88,7 @@ class Core:
     def forms(self) -> list[Any]:
         """Return the types of each node's state and held inputs: a text is valid for these."""
         forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self.steps]
-        return [*forms, tuple(one.form for one in self.holdings)]
+        return [*forms, tuple(holding.form for holding in self.holdings)]
 
 
 def kinds_of(core: Core, recorded: Sequence[Step], make: Make) -> tuple[Any, ...]:
@@ -139,9 +139,9 @@ def refuse(kinds: tuple[Any, ...], reason: str) -> None:
 
 def _worth_another(kinds: Any) -> bool:
     """Return whether one more text for a kind of rig pays: the first does, later ones only after some runs."""
-    asked, made = _counts.get(kinds, (0, 0))
-    worth = asked >= made * RUNS_A_TEXT
-    _counts[kinds] = (asked + 1, made + worth)
+    asked, texts = _counts.get(kinds, (0, 0))
+    worth = asked >= texts * RUNS_A_TEXT
+    _counts[kinds] = (asked + 1, texts + worth)
     return worth
 
 
@@ -204,7 +204,7 @@ class Fitted:
         self._pack = [packer(s.x, typed) for s in core.steps]
         self._unpack: list[Way] = []
         self._newest = [follow(path, roots) for path in program.newest]
-        self._keys = [one.key for one in self._newest]
+        self._keys = [newest.key for newest in self._newest]
         self._written = [(core.steps.index(s), s, len(numbers_of(s)), len(stamps_of(s))) for s in recorded]
         self._n = self._zeros(3, int)  # tick under way, random numbers that are missing, tick with which places begin
         self._when = self._zeros(1 + len(core.holdings) + len(core.speakers), int)
@@ -215,7 +215,7 @@ class Fitted:
     @property
     def remade(self) -> bool:
         """Return whether a block has created constants again, so that another text may be needed."""
-        return [one.key for one in self._newest] != self._keys
+        return [newest.key for newest in self._newest] != self._keys
 
     @property
     def size(self) -> float:
@@ -278,13 +278,13 @@ class Fitted:
             *(applied(way, s.x) for way, s in zip(self._pack, self._steps, strict=True)),
             *(numbers_of(s) for s in self._steps),
             *(stamps_of(self._steps[k]) for k in kept.text.stamped),
-            *(packed(one.value) for one in self._core.holdings),
+            *(packed(holding.value) for holding in self._core.holdings),
         )
         published = [self._steps[k].published_at[j] for k, j in self._core.speakers]
         self._n[:] = 0, 0, self._begin
         self._when[:] = [
             0,
-            *(one.stamp for one in self._core.holdings),
+            *(holding.stamp for holding in self._core.holdings),
             *(NEVER if t is None else t for t in published),
         ]
         self._reported[:] = [0.0] * len(self._reported)
@@ -337,7 +337,7 @@ class Fitted:
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
                 # The next rig of this kind must not find a text that numba has refused.
-                _texts[:] = [other for other in _texts if other is not kept]
+                _texts[:] = [text for text in _texts if text is not kept]
                 # numba's messages fill pages; the beginning names the construct.
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return int(n[0]), after
@@ -363,18 +363,18 @@ class Fitted:
         stamps = dict(zip(self.kept.text.stamped, after[2 * count :], strict=False))
         published = dict(zip(self._core.speakers, map(int, self._when[1 + len(self._core.holdings) :]), strict=True))
         for k, s in enumerate(self._steps):
-            own = self._plan.own(s.schedule, first, last)
-            if not own:
+            ticks = self._plan.own(s.schedule, first, last)
+            if not ticks:
                 continue
             s.x = applied(self._unpack[k], after[k])
             newest = {j: t for (speaker, j), t in published.items() if speaker == k} if published else {}
-            answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
+            answered(s, ticks[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:
-                s.native = s.native[0] + len(own), ""
-        for one, value in zip(self._core.holdings, after[len(after) - len(self._core.holdings) :], strict=True):
-            fill = one.fill
+                s.native = s.native[0] + len(ticks), ""
+        for holding, value in zip(self._core.holdings, after[len(after) - len(self._core.holdings) :], strict=True):
+            fill = holding.fill
             # Python runs the publisher of such a link, so native code cannot have changed what its subscriber holds.
-            if one.source is None:
+            if holding.source is None:
                 continue
-            if published.get((one.source, fill.output), fill.source.t) >= self._plan.clock.time(first):
+            if published.get((holding.source, fill.output), fill.source.t) >= self._plan.clock.time(first):
                 fill.reader.values[fill.port.name] = unpacked(value)

@@ -47,18 +47,18 @@ class Reports:
         self.size += HEAD + count
         return self.places[-1].at
 
-    def record(self, table: Sequence[float], held: Sequence[RunningBlock]) -> None:
+    def record(self, table: Sequence[float], running: Sequence[RunningBlock]) -> None:
         """Record the reports of each block in a table, as if they had been reported one by one."""
         received = [p for p in self.places if table[p.at]]
         newest: dict[tuple[int, str], Place] = {}
-        for place in sorted(received, key=lambda p: table[p.at + 2]):
-            newest[place.block, place.key] = place
+        for report in sorted(received, key=lambda p: table[p.at + 2]):
+            newest[report.block, report.key] = report
         # Python keeps keys in the order of their first report and the text of the newest one.
-        for place in sorted(received, key=lambda p: table[p.at + 1]):
-            reports, last = held[place.block].reports, newest[place.block, place.key]
-            before = reports[place.key][2] if place.key in reports else 0
+        for report in sorted(received, key=lambda p: table[p.at + 1]):
+            reports, last = running[report.block].reports, newest[report.block, report.key]
+            before = reports[report.key][2] if report.key in reports else 0
             text = last.text([float(v) for v in table[last.at + HEAD :]])
-            reports[place.key] = last.level, text, before + int(table[place.at])
+            reports[report.key] = last.level, text, before + int(table[report.at])
 
 
 def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
@@ -72,7 +72,7 @@ def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
         if isinstance(part, ast.FormattedValue):
             if part.format_spec is not None and (
                 not isinstance(part.format_spec, ast.JoinedStr)
-                or any(not isinstance(one, ast.Constant) for one in part.format_spec.values)
+                or any(not isinstance(spec, ast.Constant) for spec in part.format_spec.values)
             ):
                 return None
             result.append(part)
@@ -84,7 +84,7 @@ def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
 def spec_of(part: ast.FormattedValue) -> str:
     """Return the format specification of a value."""
     parts = part.format_spec.values if isinstance(part.format_spec, ast.JoinedStr) else []
-    return "".join(str(one.value) for one in parts if isinstance(one, ast.Constant))
+    return "".join(str(spec.value) for spec in parts if isinstance(spec, ast.Constant))
 
 
 CONVERSIONS: Mapping[int, Callable[[Any], Any]] = {-1: lambda v: v, 115: str, 114: repr, 97: ascii}

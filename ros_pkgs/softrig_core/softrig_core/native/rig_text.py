@@ -67,7 +67,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
             *(f"h{i}" for i, _ in enumerate(kept)),
         ]
     )
-    written = [k for s in recorded for k, one in enumerate(steps) if one is s]
+    written = [k for s in recorded for k, step in enumerate(steps) if step is s]
     arrays = turns.arrays | ({WHEN} if kept or turns.sporadic else set())
     turns.check_times()
     decided = turns.decided(state)

@@ -117,15 +117,15 @@ class Program:
     under_way: set[Any] = field(default_factory=set)
     reports: Reports | None = None
 
-    def name(self, thing: Any, hint: str) -> str:
+    def name(self, value: Any, hint: str) -> str:
         """Return the name of a Python object in the text."""
         # By identity: arrays have no hash, and objects that Python calls equal, such as (1,) and (1.0,), are two
         # constants.
         for name, known in self.names.items():
-            if known is thing:
+            if known is value:
                 return name
         name = f"{hint}_{len(self.names)}"
-        self.names[name] = thing
+        self.names[name] = value
         return name
 
     def number(self, block: Any) -> int:
@@ -178,7 +178,7 @@ class Program:
                 f"def {name}(s, {arguments}):",
                 *(f"    s[{k}] = v{k}" for k in range(compiled.n_in)),
                 "    p = s.ctypes.data",
-                f"    {name}_there({', '.join(f'p + {8 * at}' for at in compiled.places)}, 0)",
+                f"    {name}_there({', '.join(f'p + {8 * offset}' for offset in compiled.places)}, 0)",
                 f"    return ({''.join(f's[{compiled.n_in + k}], ' for k in range(compiled.n_out))})",
             ]
             self.functions.append("\n".join(lines))
@@ -244,10 +244,10 @@ class Same:
     __hash__ = None  # type: ignore[assignment]
 
 
-def signature(value: Any, inside: bool = False) -> Any:
+def signature(value: Any, nested: bool = False) -> Any:
     """Return the part of a value that must be equal for the same text: numbers and texts, and the type of an object.
 
-    What is `inside` of another value has no path of its own: it must be the same object.
+    What is `nested` of another value has no path of its own: it must be the same object.
     """
     if isinstance(value, (*NUMBERS, str, bytes, type(None), type)):
         # With the type, because 1, 1.0 and True are equal in Python and are written differently.
@@ -258,7 +258,7 @@ def signature(value: Any, inside: bool = False) -> Any:
         # In the order of the keys, because a loop over a mapping is written out in this order.
         return "mapping", tuple((k, signature(v, True)) for k, v in value.items())
     if isinstance(value, types.MethodType):
-        return "method", value.__func__, *((Same(value.__self__),) if inside else ())
+        return "method", value.__func__, *((Same(value.__self__),) if nested else ())
     if isinstance(value, (types.FunctionType, types.BuiltinFunctionType)):
         return "function", value
     if isinstance(value, partial):
@@ -267,7 +267,7 @@ def signature(value: Any, inside: bool = False) -> Any:
         return "compiled", value.symbol
     if isinstance(value, Jit):
         return "jit", value
-    return ("object", Same(value)) if inside else ("object", type(value))
+    return ("object", Same(value)) if nested else ("object", type(value))
 
 
 def shape(value: Any) -> Any:
@@ -311,7 +311,7 @@ def parsed(function: types.FunctionType) -> ast.FunctionDef:
 
 
 def made(
-    program: Program, function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value], arrays: set[str]
+    program: Program, function: types.FunctionType, args: Sequence[Value], kwargs: Mapping[str, Value], arrays: set[str]
 ) -> Value:
     """Specialise a Python function to its fixed arguments, and return the code of the call.
 
@@ -319,7 +319,7 @@ def made(
     ----------
     program : Program
     function : function
-    given, words : sequence and mapping of Value
+    args, kwargs : sequence and mapping of Value
         Its arguments by place and by name.
     arrays : set of str
         Set to which the names of the arrays that the call passes on are added.
@@ -352,20 +352,20 @@ def made(
         key.append((name, len(value.items) if isinstance(value, Group) else tuple(value.items)))
         return mapped(value, lambda k, v: handed(v, f"{name}__{k}"))
 
-    for name, value in _arguments(function, given, words).items():
+    for name, value in _arguments(function, args, kwargs).items():
         inner[name] = handed(value, name)
-    whole = tuple(key)
+    signature_key = tuple(key)
     # Each specialised function is written once, with the type of its result known, which a recursive call would need
     # before.
-    if whole in program.under_way:
+    if signature_key in program.under_way:
         raise NotNative(f"{function.__qualname__} calls itself")
-    if whole not in program.known:
-        program.under_way.add(whole)
+    if signature_key not in program.known:
+        program.under_way.add(signature_key)
         try:
-            program.known[whole] = _specialised(program, function, inner, parameters)
+            program.known[signature_key] = _specialised(program, function, inner, parameters)
         finally:
-            program.under_way.discard(whole)
-    done = program.known[whole]
+            program.under_way.discard(signature_key)
+    done = program.known[signature_key]
     if done is NEVER:
         raise GivesUp(f"{function.__qualname__} discards each tick")
     # A result that is fixed needs no call.
@@ -376,11 +376,11 @@ def made(
     return replace(done.result, code=code)
 
 
-def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value]) -> dict[str, Value]:
+def _arguments(function: types.FunctionType, args: Sequence[Value], kwargs: Mapping[str, Value]) -> dict[str, Value]:
     """Return the arguments of a call by the parameter names of the function."""
     signature = inspect.signature(function)
     try:
-        bound = signature.bind(*given, **words).arguments
+        bound = signature.bind(*args, **kwargs).arguments
     except TypeError as error:
         raise NotNative(f"{function.__qualname__}: {error}") from None
     result: dict[str, Value] = {}

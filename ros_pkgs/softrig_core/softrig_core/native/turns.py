@@ -208,7 +208,7 @@ class Turns:
 
     def _holding(self, fill: Fill | None) -> int | None:
         """Return the number of the holding that an input is filled from; None: it gets each tick's."""
-        return next((i for i, one in enumerate(self.kept) if one.fill is fill), None)
+        return next((i for i, holding in enumerate(self.kept) if holding.fill is fill), None)
 
     def _ages(self) -> dict[tuple[int, str], int | str | None]:
         """Return the ages of inputs: 0 if published at each tick of the reader, else the expression for them."""
@@ -216,12 +216,12 @@ class Turns:
         for k, step in enumerate(self.steps):
             for port in step.inputs:
                 fill = step.fed.get(port.name)
-                held = self._holding(fill)
-                if fill is None or (held is not None and fill.last_published() is None):
+                number = self._holding(fill)
+                if fill is None or (number is not None and fill.last_published() is None):
                     result[k, port.name] = None
-                elif held is not None:
+                elif number is not None:
                     # As `Step.age`: a message that is ahead of the tick has the age 0.
-                    result[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{held + 1}]), 0)"
+                    result[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{number + 1}]), 0)"
                 # Each tick of the reader is a tick of the publisher, too, so the value is of the same tick.
                 elif step.schedule.every % fill.source.schedule.every == 0:
                     result[k, port.name] = 0
@@ -229,7 +229,7 @@ class Turns:
 
     def _input(self, step: Step, port: Port) -> Value:
         fill, values = step.fed.get(port.name), step.values[port.name]
-        held = self._holding(fill)
+        number = self._holding(fill)
         # A held input that nothing fills stays None; any other value would come from outside of the rig, unseen by
         # native code.
         if fill is None and (not port.held or values is not None):
@@ -239,23 +239,23 @@ class Turns:
         # No native tick brings such an array, and none reads it: it is too long to be written out.
         if (
             port.size > LONGEST
-            and held is not None
-            and (self.kept[held].source is None or not fill.source.outputs[fill.output].width)
+            and number is not None
+            and (self.kept[number].source is None or not fill.source.outputs[fill.output].width)
         ):
             return Static(values)
         if port.size > LONGEST:
             raise NotNative(f"{step.name}: {port.topic} has {port.size} numbers, expected at most {LONGEST}")
-        if held is not None:
+        if number is not None:
             if isinstance(values, Sample):
-                return Dynamic(f"h{held}", packed(values))
-            return Group(tuple(Dynamic(f"h{held}[{p}]", float(v)) for p, v in enumerate(values)))
+                return Dynamic(f"h{number}", packed(values))
+            return Group(tuple(Dynamic(f"h{number}[{p}]", float(v)) for p, v in enumerate(values)))
         k = self._numbers[id(fill.source)]
         every = self.every(k)
         return self._read(fill, f"r{k}", f"z{k}", self.time(f"(k - k % {every})" if every > 1 else "k"), values)
 
     def _read(self, fill: Fill, numbers: str, stamps: str, time: str, values: Any) -> Value:
         """Write the code that stores an output's present `values` in a subscriber's input."""
-        before, _, place, _ = places(fill.source.outputs)[fill.output]
+        before, _, flag, _ = places(fill.source.outputs)[fill.output]
         data = values.data if isinstance(values, Sample) else values
         row = [
             Dynamic(f"{numbers}[{before + p}]" if type(p) is int else repr(p), float(v))
@@ -263,7 +263,7 @@ class Turns:
         ]
         if not isinstance(values, Sample):
             return Group(tuple(row))
-        stamp = f"{stamps}[{place}]" if fill.stamp == "own" else time
+        stamp = f"{stamps}[{flag}]" if fill.stamp == "own" else time
         return Dynamic(
             f"{self.program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
             Sample(values.stamp, tuple(float(v) for v in data)),
@@ -275,8 +275,8 @@ class Turns:
         # The present state may decide the branch, so no branch counts as the usual one.
         program.aside = decides(step)
         # The sample of a time is never 0: a branch for the first tick would pass for the usual one.
-        given = [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)]
-        return made(program, getattr(type(step.block), name), given, inputs, self.arrays)
+        args = [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)]
+        return made(program, getattr(type(step.block), name), args, inputs, self.arrays)
 
     def _answered(self, k: int, value: Value, state: str) -> list[str]:
         """Process an answer: its state, and its checked numbers, which are written into the table."""
@@ -295,8 +295,8 @@ class Turns:
                 stamps += stamp
                 # In Python a row is stored as it is: `_row_of` checks its length and converts whole numbers, which is
                 # faster than a call of `float` for each number.
-                whole = size >= FEW and not typed and isinstance(answer, Dynamic) and type(answer.sample) is tuple
-                numbers += [f"*{writer.code(answer)}"] if whole else [f"float({writer.code(one)})" for one in row]
+                at_once = size >= FEW and not typed and isinstance(answer, Dynamic) and type(answer.sample) is tuple
+                numbers += [f"*{writer.code(answer)}"] if at_once else [f"float({writer.code(item)})" for item in row]
         except (NotNative, AttributeError, KeyError, ValueError) as error:
             raise NotNative(f"{step.name}: its answer: {error}") from None
         lines = writer.lines
@@ -313,9 +313,9 @@ class Turns:
         if any(s is step for s in self.recorded) and not typed:
             lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]
         elif any(s is step for s in self.recorded):
-            at = f"k // {self.every(k)} - e{k}"
-            lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i in range(size + len(flags))]
-            lines += [f"p{k}[{at}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
+            tick = f"k // {self.every(k)} - e{k}"
+            lines += [f"o{k}[{tick}, {i}] = q{k}[{i}]" for i in range(size + len(flags))]
+            lines += [f"p{k}[{tick}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
         return lines
 
     def _state(self, k: int, value: Dynamic) -> str:
@@ -331,19 +331,19 @@ class Turns:
         lines: list[str] = []
         for j, (port, (_, _, _, flag)) in enumerate(zip(step.outputs, places(step.outputs), strict=True)):
             messages: list[str] = []
-            for i, one in enumerate(kept):
-                if (one.source, one.fill.output) != (k, j):
+            for i, holding in enumerate(kept):
+                if (holding.source, holding.fill.output) != (k, j):
                     continue
                 # The first message changes the type of what the reader holds, so this tick is Python's and then another
                 # text fits.
-                if one.value is None or one.fill.last_published() is None or not port.width:
+                if holding.value is None or holding.fill.last_published() is None or not port.width:
                     messages.append(GIVEN_UP)
                     continue
-                value = self._read(one.fill, f"q{k}", f"z{k}", "t", one.value)
+                value = self._read(holding.fill, f"q{k}", f"z{k}", "t", holding.value)
                 row = isinstance(value, Group)
                 messages.append(f"h{i} = {self._writer(k).code(value)}")
                 messages.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
-                for p, limit in enumerate(one.fill.port.limits if one.fill.checked else ()):
+                for p, limit in enumerate(holding.fill.port.limits if holding.fill.checked else ()):
                     messages += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
             if flag is not None:
                 messages.append(f"{WHEN}[{1 + len(kept) + self.sporadic.index((k, j))}] = t")
@@ -367,8 +367,8 @@ def rows_of(
     if isinstance(value, Dynamic) and value.keys is not None:
         value = writer.unfolded(value)
     result: Any = value.items if isinstance(value, Record) else {}
-    if other := result.keys() - {port.name for port in outputs}:
-        raise NotNative(f"{min(other)} is not an output")
+    if unknown := result.keys() - {port.name for port in outputs}:
+        raise NotNative(f"{min(unknown)} is not an output")
     for port in outputs:
         answer, flags, stamps = result[port.name], list[str](), list[str]()
         if port.sporadic:

@@ -33,8 +33,8 @@ def is_twinned(kind: Hashable) -> bool:
         f.init and not f.kw_only and f.default_factory is dataclasses.MISSING for f in dataclasses.fields(kind)
     ) and not hasattr(kind, "__post_init__")
     # Only a class at the top of a module is found again by module and name.
-    found = "<" not in kind.__qualname__ and "." not in kind.__qualname__
-    return bool(about.frozen and about.init and plain and kind.__new__ is object.__new__ and found)
+    importable = "<" not in kind.__qualname__ and "." not in kind.__qualname__
+    return bool(about.frozen and about.init and plain and kind.__new__ is object.__new__ and importable)
 
 
 @cache
@@ -42,8 +42,8 @@ def twin(kind: type) -> Any:
     """Return the named tuple of a dataclass."""
     name = f"{kind.__module__.replace('.', MARK)}{MARK}{kind.__qualname__}"
     fields = dataclasses.fields(kind)
-    given = [f.default for f in fields if f.default is not dataclasses.MISSING]
-    result: Any = namedtuple(name, [f.name for f in fields], defaults=given)  # type: ignore[misc]
+    defaults = [f.default for f in fields if f.default is not dataclasses.MISSING]
+    result: Any = namedtuple(name, [f.name for f in fields], defaults=defaults)  # type: ignore[misc]
     # `__getattr__` below finds it there.
     result.__module__ = __name__
     setattr(result, OF, kind)
@@ -98,19 +98,19 @@ def unpacker(sample: Any) -> Way:
     return None
 
 
-def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
+def _by_parts(kind: Any, ways: Sequence[Way], target: Any = None) -> Way:
     """Return a function that rebuilds a tuple with a replaced part, with the same or another type."""
-    own = other or (kind if hasattr(kind, "_fields") else None)
+    factory = target or (kind if hasattr(kind, "_fields") else None)
     changed = [(k, way) for k, way in enumerate(ways) if way is not None]
     # Most states are numbers alone, which go into native code and back as they are.
-    if not changed and kind is (own or tuple):
+    if not changed and kind is (factory or tuple):
         return None
 
     def again(value: Any) -> Any:
         parts = list(value)
         for k, way in changed:
             parts[k] = way(parts[k])
-        return own(*parts) if own else tuple(parts)
+        return factory(*parts) if factory else tuple(parts)
 
     return again
 
@@ -121,8 +121,8 @@ ARITHMETIC, COMPARISONS, TRUTH = "add radd mul rmul", "eq ne lt le gt ge", "bool
 @cache
 def own_operator(kind: Hashable, operators: str) -> str:
     """Return which of these operators a class of named tuples or dataclasses defines itself; empty: none."""
-    own: Any = getattr(kind, OF, kind)
-    for base in own.__mro__:
+    cls: Any = getattr(kind, OF, kind)
+    for base in cls.__mro__:
         if base in (tuple, object):
             break
         for name in (f"__{operator}__" for operator in operators.split()):

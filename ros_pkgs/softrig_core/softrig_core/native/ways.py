@@ -61,10 +61,10 @@ class Ways:
         self.sampled: Any = UNKNOWN  # what the test read last was, by the samples
         self.left = False  # whether the samples' branch of the last `if` leaves the function or the loop
 
-    def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
+    def unknown(self, construct: str, node: ast.AST | None = None) -> NotNative:
         """Describe what native code does not support, and where."""
         line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
-        return NotNative(f"{self.function.__module__}.{self.function.__qualname__}, line {line}: {what}")
+        return NotNative(f"{self.function.__module__}.{self.function.__qualname__}, line {line}: {construct}")
 
     def emit(self, line: str) -> None:
         """Add a line."""
@@ -101,8 +101,8 @@ class Ways:
         if isinstance(value, Static):
             kind: Any = type(value.value)
             if value.path is not None and hasattr(kind, "_fields"):
-                own = zip(kind._fields, value.value, strict=True)
-                return self.named(kind, [Static(v, (*value.path, ("attr", f))) for f, v in own], None)
+                fields = zip(kind._fields, value.value, strict=True)
+                return self.named(kind, [Static(v, (*value.path, ("attr", f))) for f, v in fields], None)
             code = self.code(value)
             return Dynamic(code, np.array(value.value) if code in self.arrays else _plain(value.value))
         if isinstance(value, Record):
@@ -179,8 +179,8 @@ class Ways:
         """Return the name of a function of Python's own that is called; empty: it is another one."""
         # A module or a local name may hide Python's function of that name.
         name = node.id if isinstance(node, ast.Name) and node.id not in self.env else ""
-        own = getattr(builtins, name, None)
-        return name if own is not None and self.outer(name, node) is own else ""
+        builtin = getattr(builtins, name, None)
+        return name if builtin is not None and self.outer(name, node) is builtin else ""
 
     def unfolded(self, value: Dynamic) -> Record:
         """Return a mapping, which a function has returned as its parts, in one piece."""
@@ -227,14 +227,14 @@ class Ways:
             parts = self.parts(value, target)
             starred = [k for k, t in enumerate(target.elts) if isinstance(t, ast.Starred)]
             if starred:
-                at, after = starred[0], len(target.elts) - starred[0] - 1
-                parts = [*parts[:at], Group(tuple(parts[at : len(parts) - after])), *parts[len(parts) - after :]]
+                star, after = starred[0], len(target.elts) - starred[0] - 1
+                parts = [*parts[:star], Group(tuple(parts[star : len(parts) - after])), *parts[len(parts) - after :]]
             if len(parts) != len(target.elts):
                 raise self.unknown(f"{len(parts)} values for {len(target.elts)} names", target)
             # All values are stored before any name is bound, as `a, b = b, a` needs it.
             parts = [self._held(p) for p in parts]
-            for one, part in zip(target.elts, parts, strict=True):
-                self.assign(one.value if isinstance(one, ast.Starred) else one, part, apart)
+            for name, item in zip(target.elts, parts, strict=True):
+                self.assign(name.value if isinstance(name, ast.Starred) else name, item, apart)
         elif isinstance(target, ast.Subscript):
             self._written_into(target, value)
         else:
@@ -242,10 +242,10 @@ class Ways:
 
     def _written_into(self, target: ast.Subscript, value: Value) -> None:
         """Write into an array; values that were read from it before are stored under names of their own."""
-        table, at = self.value(target.value), self.dynamic(self.value(target.slice))
+        table, position = self.value(target.value), self.dynamic(self.value(target.slice))
         if not isinstance(table, Dynamic) or not isinstance(table.sample, np.ndarray) or table.sample.ndim != 1:
             raise self.unknown("an assignment to a part of something", target)
-        self.emit(f"{self.simple(table).code}[{at.code}] = {self.code(value)}")
+        self.emit(f"{self.simple(table).code}[{position.code}] = {self.code(value)}")
 
     def value(self, node: ast.expr) -> Value:
         """Read an expression."""
@@ -265,8 +265,8 @@ class Ways:
             with suppress(NotNative):
                 result = self.dynamic(value)
         if result is None or (result.parts and isinstance(value, Group)):
-            held = self._held(value) if isinstance(value, Record) else value
-            return mapped(held, lambda k, v: self._bound(f"{name}__{k}", v))  # type: ignore[arg-type]
+            stored = self._held(value) if isinstance(value, Record) else value
+            return mapped(stored, lambda k, v: self._bound(f"{name}__{k}", v))  # type: ignore[arg-type]
         self.emit(f"{name} = {result.code}")
         return replace(result, code=name)
 
@@ -277,42 +277,42 @@ class Ways:
         tree = parsed(self.function)
         if name in {a.arg for a in ast.walk(tree) if isinstance(a, ast.arg)}:
             return False
-        made: list[ast.expr] = []
-        seen = dict.fromkeys((n for n in ast.walk(tree) if isinstance(n, ast.Name) and n.id == name), False)
-        for one in ast.walk(tree):
+        values: list[ast.expr] = []
+        uses = dict.fromkeys((n for n in ast.walk(tree) if isinstance(n, ast.Name) and n.id == name), False)
+        for node in ast.walk(tree):
             inner: list[Any] = []
-            if isinstance(one, ast.Assign) and len(one.targets) == 1:
-                pairs = [(to, value) for to, value in _pairs(one.targets[0], one.value) if to in seen]
-                made, inner = [*made, *(value for _, value in pairs)], [to for to, _ in pairs]
-            elif isinstance(one, ast.AnnAssign) and one.target in seen and one.value is not None:
-                made, inner = [*made, one.value], [one.target]
-            elif isinstance(one, (ast.AugAssign, ast.For, ast.comprehension)):
-                inner = [one.target if isinstance(one, ast.AugAssign) else one.iter]
-            elif isinstance(one, (ast.Attribute, ast.Subscript, ast.Starred, ast.Return)):
-                inner = [one.value]
-            elif isinstance(one, ast.Call) and isinstance(one.func, ast.Name) and one.func.id in COPYING:
-                inner = one.args
-            elif isinstance(one, (ast.Compare, ast.BinOp)):
-                inner = [one.left, *one.comparators] if isinstance(one, ast.Compare) else [one.left, one.right]
-            seen |= dict.fromkeys((n for n in inner if n in seen), True)
-        return all(seen.values()) and all(map(_is_new, made))
+            if isinstance(node, ast.Assign) and len(node.targets) == 1:
+                pairs = [(target, value) for target, value in _pairs(node.targets[0], node.value) if target in uses]
+                values, inner = [*values, *(value for _, value in pairs)], [target for target, _ in pairs]
+            elif isinstance(node, ast.AnnAssign) and node.target in uses and node.value is not None:
+                values, inner = [*values, node.value], [node.target]
+            elif isinstance(node, (ast.AugAssign, ast.For, ast.comprehension)):
+                inner = [node.target if isinstance(node, ast.AugAssign) else node.iter]
+            elif isinstance(node, (ast.Attribute, ast.Subscript, ast.Starred, ast.Return)):
+                inner = [node.value]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in COPYING:
+                inner = node.args
+            elif isinstance(node, (ast.Compare, ast.BinOp)):
+                inner = [node.left, *node.comparators] if isinstance(node, ast.Compare) else [node.left, node.right]
+            uses |= dict.fromkeys((n for n in inner if n in uses), True)
+        return all(uses.values()) and all(map(_is_new, values))
 
     def _give_up(self) -> None:
         self.emit(GIVEN_UP)
         self.ended = True
 
-    def _fork(self, test: str, used: Any, one: Callable[[], Any], other: Callable[[], Any]) -> tuple[Any, Any]:
+    def _fork(self, test: str, used: Any, if_true: Callable[[], Any], if_false: Callable[[], Any]) -> tuple[Any, Any]:
         """Write both branches of a test, and merge the known facts after them."""
         used = used if used is UNKNOWN else bool(used)
         before, lines = dict(self.env), self.lines
-        ways: list[tuple[list[str], dict[str, Value], bool]] = []
+        branches: list[tuple[list[str], dict[str, Value], bool]] = []
         results = []
         aside = self.program.aside
-        for way, wanted in ((one, True), (other, False)):
+        for branch, wanted in ((if_true, True), (if_false, False)):
             self.env, self.lines, self.ended = dict(before), [], False
             self.program.aside, returned = aside or used is (not wanted), len(self.returned)
             try:
-                results.append(way())
+                results.append(branch())
             except GivesUp:
                 results.append(None)
                 self._give_up()
@@ -329,8 +329,8 @@ class Ways:
                 self._give_up()
             finally:
                 self.program.aside = aside
-            ways.append((self.lines, self.env, self.ended))
-        (then, env_then, over_then), (orelse, env_else, over_else) = ways
+            branches.append((self.lines, self.env, self.ended))
+        (then, env_then, over_then), (orelse, env_else, over_else) = branches
         self.left = used is not UNKNOWN and (over_then if used else over_else)
         if over_then and over_else:
             # Nothing follows, so it does not matter which one remains.
@@ -348,11 +348,11 @@ class Ways:
         return results[0], results[1]
 
     def _joined(
-        self, one: dict[str, Value], other: dict[str, Value], then: list[str], orelse: list[str], used: Any
+        self, env_then: dict[str, Value], env_else: dict[str, Value], then: list[str], orelse: list[str], used: Any
     ) -> dict[str, Value]:
         env: dict[str, Value] = {}
-        for name in {**one, **other}:
-            a, b = one.get(name), other.get(name)
+        for name in {**env_then, **env_else}:
+            a, b = env_then.get(name), env_else.get(name)
             if a is None or b is None:
                 result = a or b
                 assert result is not None
@@ -400,25 +400,25 @@ class Ways:
         return replace(first, code=code, sample=sample, sure=is_sure(x) and is_sure(y) and alike(x.sample, y.sample))
 
     def _chosen(
-        self, test: str, used: Any, one: Callable[[], Value], other: Callable[[], Value], node: ast.AST
+        self, test: str, used: Any, if_true: Callable[[], Value], if_false: Callable[[], Value], node: ast.AST
     ) -> Value:
         """Write a choice of two values; only the selected one is computed."""
-        at, before = len(self.lines), dict(self.env)
+        start, before = len(self.lines), dict(self.env)
         try:
-            a: Value | None = one()
-            b = other() if not self.ended else None
+            a: Value | None = if_true()
+            b = if_false() if not self.ended else None
         # One of the two is not known; `_fork` finds out whether it is the branch that is taken.
         except NotNative:
             a = b = None
-        if a is not None and b is not None and not self.ended and len(self.lines) == at and self.as_before(before):
+        if a is not None and b is not None and not self.ended and len(self.lines) == start and self.as_before(before):
             if isinstance(a, Static) and isinstance(b, Static) and same(a, b):
                 return a
             x, y = self.dynamic(a), self.dynamic(b)
-            if len(self.lines) == at:
+            if len(self.lines) == start:
                 return self._one_of(f"({x.code} if {test} else {y.code})", x, y, used, node)
         # Statements that one of the values needs may run only if it is selected: both are read again, each within its
         # branch.
-        del self.lines[at:]
+        del self.lines[start:]
         self.env, self.ended = before, False
         name = self._fresh()
 
@@ -430,7 +430,7 @@ class Ways:
             self.emit(f"{name} = {done.code}")
             return done
 
-        x_, y_ = self._fork(test, used, lambda: way(one), lambda: way(other))
+        x_, y_ = self._fork(test, used, lambda: way(if_true), lambda: way(if_false))
         if x_ is None or y_ is None:
             done = x_ or y_
             return NONE if done is None else replace(done, code=name)

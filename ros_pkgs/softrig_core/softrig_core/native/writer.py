@@ -47,8 +47,8 @@ class Writer(Calls):
             return result[0]
         values = [self.dynamic(v) for v in result]
         first = values[0]
-        for other in values[1:]:
-            if (other.keys, forms(other)) != (first.keys, forms(first)):
+        for value in values[1:]:
+            if (value.keys, forms(value)) != (first.keys, forms(first)):
                 raise self.unknown("answers of several forms")
         known = [v for v in values if v.sample is not UNKNOWN]
         sure = len(known) == len(values) and all(is_sure(v) and alike(v.sample, first.sample) for v in values)
@@ -170,11 +170,11 @@ class Writer(Calls):
 
     def _with_silence(self, value: Value, node: Any) -> Value:
         """Return the answer of a block with a flag before the row of each output that may be silent."""
-        own = self.env.get("self")
-        if not isinstance(own, Static) or own.path is None or len(own.path) > 1 or not self.program.silent:
+        block = self.env.get("self")
+        if not isinstance(block, Static) or block.path is None or len(block.path) > 1 or not self.program.silent:
             return value
-        answers = [getattr(type(own.value), name, None) for name in ("update", "outputs")]
-        ports = [port for k, port in self.program.silent if k == own.path[0]]
+        answers = [getattr(type(block.value), name, None) for name in ("update", "outputs")]
+        ports = [port for k, port in self.program.silent if k == block.path[0]]
         if self.function not in answers or not ports:
             return value
         x, record = self.parts(value, node) if self.function is answers[0] else (None, value)
@@ -239,7 +239,7 @@ class Writer(Calls):
         if node.orelse:
             raise self.unknown("else of a loop", node)
         # A loop that is written out turn after turn has no place to which a break or continue could jump.
-        leaves = any(isinstance(n, (ast.Break, ast.Continue)) for one in node.body for n in ast.walk(one))
+        leaves = any(isinstance(n, (ast.Break, ast.Continue)) for statement in node.body for n in ast.walk(statement))
         values = None if leaves else self.listed(node.iter)
         if values is not None:
             for value in [self._held(v) for v in values]:
@@ -266,11 +266,11 @@ class Writer(Calls):
     def _loop(self, head: str, body: Sequence[ast.stmt], node: ast.stmt, test: ast.expr | None = None) -> None:
         names = {
             n.id
-            for one in [*body, node]
-            for n in ast.walk(one)
+            for statement in [*body, node]
+            for n in ast.walk(statement)
             if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
         }
-        leaves = any(isinstance(n, (ast.Break, ast.Continue)) for one in body for n in ast.walk(one))
+        leaves = any(isinstance(n, (ast.Break, ast.Continue)) for statement in body for n in ast.walk(statement))
         assumed: dict[str, Any] = {}  # tuples that are as long after a turn as before it
         for name in names:
             was_sure = (known := self.env.get(name)) is not None and is_sure(known)
@@ -284,11 +284,11 @@ class Writer(Calls):
             if isinstance(known, Dynamic):
                 # What a name is at `break` or `continue` is not compared, so with them the length of a tuple is not
                 # certain.
-                held = isinstance(known.sample, tuple) and was_sure and not leaves
-                if held:
+                fixed = isinstance(known.sample, tuple) and was_sure and not leaves
+                if fixed:
                     assumed[name] = known.sample
                 numbers = isinstance(known.sample, NUMBERS)
-                self.env[name] = replace(known, sure=numbers or held)
+                self.env[name] = replace(known, sure=numbers or fixed)
         before, lines = dict(self.env), self.lines
         self.lines, self._inside = [], self._inside + 1
         if test is not None:
@@ -327,9 +327,9 @@ def _reports(node: ast.stmt) -> bool:
 
 def _reporting(statements: Sequence[ast.stmt]) -> bool:
     """Return whether something is reported, whatever the earlier statements do."""
-    for one in statements:
-        if _reports(one):
+    for statement in statements:
+        if _reports(statement):
             return True
-        if any(isinstance(n, (ast.Return, ast.Break, ast.Continue)) for n in ast.walk(one)):
+        if any(isinstance(n, (ast.Return, ast.Break, ast.Continue)) for n in ast.walk(statement)):
             return False
     return False
