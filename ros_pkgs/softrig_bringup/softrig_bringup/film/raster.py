@@ -69,7 +69,7 @@ def picture(shapes: Sequence[Shape], bounds: tuple[float, float, float, float]) 
     left, top, width, height = bounds
     # At 72 dpi a point of type is a unit of the drawing.
     renderer: Any = RendererAgg(round(width), round(height), 72)  # type: ignore[no-untyped-call]
-    place = Affine2D().translate(-left, -top - height).scale(1.0, -1.0)
+    transform = Affine2D().translate(-left, -top - height).scale(1.0, -1.0)
     gc = renderer.new_gc()
     gc.set_joinstyle("round")
     gc.set_linewidth(0.0)
@@ -81,7 +81,7 @@ def picture(shapes: Sequence[Shape], bounds: tuple[float, float, float, float]) 
         if isinstance(shape, Text):
             font = FontProperties(size=shape.size, fname=FONT)
             wide = renderer.get_text_width_height_descent(shape.text, font, False)[0]
-            x, y = place.transform(shape.at)
+            x, y = transform.transform(shape.at)
             renderer.draw_text(gc, x - SHARES[shape.anchor] * wide, height - y, shape.text, font, 0.0)
             continue
         dashed = isinstance(shape, Line) and shape.dashed
@@ -95,5 +95,5 @@ def picture(shapes: Sequence[Shape], bounds: tuple[float, float, float, float]) 
             path = Path([*shape.points, shape.points[0]], closed=True)
         else:
             path = Path(shape.points)
-        renderer.draw_path(gc, path, place, to_rgb(PALETTE[fill][0]) if fill else None)
+        renderer.draw_path(gc, path, transform, to_rgb(PALETTE[fill][0]) if fill else None)
     return Image.fromarray(np.asarray(renderer.buffer_rgba())).convert("RGB")

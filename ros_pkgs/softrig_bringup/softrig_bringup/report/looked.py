@@ -147,10 +147,10 @@ def recorded_rig(scenario: Scenario, bag: Path, result: BagSignals, apart: Colle
     rig = rig_of(scenario.having(nodes={"recorded": tape}, **none))
     known = [f"{p.topic}/{label}" for p in rig.topics.values() for label in p.labels]
 
-    def there(name: str) -> bool:
+    def available(name: str) -> bool:
         return all(full_name(signal, known) in known for signal in name.split(" - "))
 
-    plots = tuple(p for p in scenario.plots if not p.x and all(map(there, p.signals)))
+    plots = tuple(p for p in scenario.plots if not p.x and all(map(available, p.signals)))
     return rig.with_plots(plots)
 
 

@@ -84,7 +84,7 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
     need_packages(f"--like {path}", [*stated.packages, *stated.code])
     study = make_study(read_mapping(folder / STUDY / FILE))
 
-    def place(name: str) -> str:
+    def packed_path(name: str) -> str:
         file = folder / SCENARIO / f"{name}.yaml"
         if os.path.basename(name) != name or not file.is_file():
             raise ScenarioError(f"--like {path}: no scenario {name!r} in it")
@@ -92,10 +92,10 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
         return str(file)
 
     cases = {
-        case: changes | ({"scenario": place(str(changes["scenario"]))} if "scenario" in changes else {})
+        case: changes | ({"scenario": packed_path(str(changes["scenario"]))} if "scenario" in changes else {})
         for case, changes in study.cases.items()
     }
-    result = study.model_copy(update={"scenario": place(study.scenario), "cases": cases})
+    result = study.model_copy(update={"scenario": packed_path(study.scenario), "cases": cases})
     try:
         with (folder / STUDY / ROWS).open("rb") as file:
             rows = [row_of(line) for line in file]

@@ -57,11 +57,11 @@ def best(study: Study, rows: Sequence[Row]) -> list[Row]:
     for row in rows:
         gathered.setdefault(row["number"] // each, []).append(row)
 
-    def kept(row: Row) -> bool:
+    def within_limits(row: Row) -> bool:
         within = all(beyond(row, name, limits) <= 0.0 for name, limits in search.subject_to.items())
         return within and row["figures"].get(search.figure) is not None
 
-    sure = [group for group in gathered.values() if len(group) == each and all(map(kept, group))]
+    sure = [group for group in gathered.values() if len(group) == each and all(map(within_limits, group))]
     return min(sure, key=lambda group: sign * sum(row["figures"][search.figure] for row in group), default=[])
 
 

@@ -251,12 +251,12 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     loop = IOLoop.current()
     target_folder: ResultsFolder | None = folder
 
-    def where() -> ResultsFolder:
+    def target() -> ResultsFolder:
         nonlocal target_folder
         target_folder = target_folder or _branch_folder(folder.path)
         return target_folder
 
-    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: where().path)
+    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: target().path)
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
     print_line(f"the page is {pages.url}")
     status, ended = 0, False
@@ -264,7 +264,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 
     def end(stopped: int = 0) -> None:
         nonlocal status, ended, target_folder, wrong
-        into = where()
+        into = target()
         with unstopped(), into.keeping():
             source.read_new()
             run = session.run

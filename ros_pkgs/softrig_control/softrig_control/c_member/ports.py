@@ -161,7 +161,7 @@ def table(
     for topic in (*trajectories, *frames, *held):
         if not outward and topic in held and topic not in topics:
             raise ValueError(f"held: {topic!r} is no topic of inputs; they are {_list(topics)}")
-    ports, places = [], dict[str, tuple[int, int]]()
+    ports, position_of = [], dict[str, tuple[int, int]]()
     for k, (topic, cells) in enumerate(topics.items()):
         port = port_of(
             topic,
@@ -173,13 +173,13 @@ def table(
             held=topic in held and not outward,
         )
         for (channel, field), (_, name) in cells.items():
-            places[name] = (k, port.fields.index(field) * len(port.channels) + port.channels.index(channel))
+            position_of[name] = (k, port.fields.index(field) * len(port.channels) + port.channels.index(channel))
         if (flag := HAS + re.sub(r"\W", "_", topic)) in names:
-            places[flag] = (k, -1)
+            position_of[flag] = (k, -1)
         ports.append(port)
-    if strange := flags - places.keys():
+    if strange := flags - position_of.keys():
         raise ValueError(f"{struct}.{min(strange)} belongs to no topic; expected has_ and a topic with _ for /")
-    return Side(tuple(ports), tuple(places[name] for name in names))
+    return Side(tuple(ports), tuple(position_of[name] for name in names))
 
 
 def values_of(

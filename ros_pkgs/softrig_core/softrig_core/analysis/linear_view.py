@@ -773,24 +773,24 @@ class Differences:
             )
         size = _power(abs(self.published[name]) or 1.0)
 
-        def at(height: float) -> tuple[Array, Array, float, str]:
+        def shifted(height: float) -> tuple[Array, Array, float, str]:
             added = {name: height}
             x, outputs = self.map(self.map.start, added, self.fixed)
             return x, np.array([outputs[s] for s in self.measured]), height, self._parted(self.map.start, added)
 
-        self.columns[name], self.steps[name] = self._column(name, at, size)
+        self.columns[name], self.steps[name] = self._column(name, shifted, size)
 
     def _number(self, i: int) -> None:
         begin = self.map.start
         size = _power(float(self.map.sizes[i]) or 1.0)
 
-        def at(height: float) -> tuple[Array, Array, float, str]:
+        def shifted(height: float) -> tuple[Array, Array, float, str]:
             moved = begin.copy()
             moved[i] += height
             x, outputs = self.map(moved, {}, self.fixed)
             return x, np.array([outputs[s] for s in self.measured]), float(moved[i] - begin[i]), self._parted(moved, {})
 
-        self.columns[i], self.steps[i] = self._column(i, at, size)
+        self.columns[i], self.steps[i] = self._column(i, shifted, size)
 
     def _parted(self, numbers: Array, added: Mapping[str, float]) -> str:
         """Name a value that is not a float, changes with the moved value, and has an effect; empty if there is none."""
@@ -800,13 +800,13 @@ class Differences:
         name = next((new for (new, x), (_, y) in zip(now, before, strict=False) if x != y), (now + before)[-1][0])
         return name if self.map.follows(numbers, added, self.fixed) else ""
 
-    def _column(self, key: int | str, at: Any, size: float) -> tuple[tuple[Array, Array], float]:
+    def _column(self, key: int | str, shifted: Any, size: float) -> tuple[tuple[Array, Array], float]:
         best: tuple[float, tuple[Array, Array], float] | None = None
         before: tuple[Array, Array] | None = None
         stepping = ""
         for share in STEPS:
             try:
-                up, down = at(size * share), at(-size * share)
+                up, down = shifted(size * share), shifted(-size * share)
             # The step leaves a limit or the domain of a block; smaller ones may not.
             except RunError:
                 before = None

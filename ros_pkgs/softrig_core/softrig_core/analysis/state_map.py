@@ -312,10 +312,10 @@ class StateMap:
         except RunError:
             return True
 
-    def _write(self, numbers: Array, kept: Array) -> None:
+    def _write(self, numbers: Array, before: Array) -> None:
         """Replace the numbers of the nodes' states."""
         for step, span in zip(self._steps.values(), self._slices, strict=True):
-            if not np.array_equal(numbers[span], kept[span]):
+            if not np.array_equal(numbers[span], before[span]):
                 both = _Known(step.x, tuple(step.values.values()))
                 step.x, inputs = put(both, split(both, numbers[span]))
                 step.values.update(zip(step.values, inputs, strict=True))

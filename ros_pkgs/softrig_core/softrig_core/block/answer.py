@@ -132,9 +132,9 @@ def places(outputs: Sequence[Port]) -> list[Where]:
     ]
 
 
-def part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
+def part(numbers: Sequence[float], stamps: Sequence[int], slots: Where) -> Row | None:
     """Return the message of one output from the outputs of a step at a tick; None if it published nothing."""
-    low, high, stamp, flag = where
+    low, high, stamp, flag = slots
     if flag is not None and not numbers[flag]:
         return None
     row = tuple(numbers[low:high])
@@ -143,7 +143,7 @@ def part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row |
 
 def parted(outputs: Sequence[Port], numbers: Sequence[float], stamps: Sequence[int]) -> Rows:
     """Return the message of each output, from all numbers, flags and stamps of a tick."""
-    return tuple([part(numbers, stamps, where) for where in places(outputs)])
+    return tuple([part(numbers, stamps, slots) for slots in places(outputs)])
 
 
 Messages = Sequence[tuple[int, tuple[float, ...]]]  # (stamp in ns, values) of each, the oldest first

@@ -224,12 +224,12 @@ def ads_line(entry: LinkEntry, node: str, build: Build) -> Callable[[AdsLine | N
             f"link: {entry.firmware} is of another block or of other parameters of {node}; export it again"
         )
 
-    def made(old: AdsLine | None) -> AdsLine:
+    def open_line(old: AdsLine | None) -> AdsLine:
         line = old or AdsLine(entry.port, lambda wait: _connected(entry.port, program, wait), build, entry.timeout)
         line.build, line.timeout = build, entry.timeout
         return line
 
-    return made
+    return open_line
 
 
 def program_of(file: Path) -> tuple[str, str]:

@@ -287,11 +287,11 @@ def can_line(entry: LinkEntry, node: str, build: Build) -> Callable[[CanLine | N
     layout = build.layout
     messages = messages_of(Path(entry.firmware), node, layout.inputs, layout.outputs, build.digest)
 
-    def made(old: CanLine | None) -> CanLine:
+    def open_line(old: CanLine | None) -> CanLine:
         line = CanLine(entry.port, lambda: _bus(entry)) if old is None else old
         return line.use(messages, build, entry.timeout)
 
-    return made
+    return open_line
 
 
 def _bus(entry: LinkEntry) -> Any:

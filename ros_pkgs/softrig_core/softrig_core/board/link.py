@@ -313,9 +313,9 @@ def _line(entry: LinkEntry, node: str, open_line: Callable[[Any], Any]) -> Any:
 
 
 def _serial_line(entry: LinkEntry, node: str, build: Build) -> Callable[[Line | None], Line]:
-    def made(old: Line | None) -> Line:
+    def open_line(old: Line | None) -> Line:
         line = old or Line(entry.port, lambda: opened(entry.port, entry.baud or BAUD), build, entry.timeout)
         line.build, line.timeout = build, entry.timeout
         return line
 
-    return made
+    return open_line

@@ -74,7 +74,7 @@ def plane(
     left, top, width, height = box
     x0, x1, y0, y1 = full
 
-    def place(r: Row) -> tuple[float, float]:
+    def to_page(r: Row) -> tuple[float, float]:
         across, up = (x(r) - x0) / (x1 - x0), (y(r) - y0) / (y1 - y0)
         return left + width * min(max(across, 0.0), 1.0), top + height * (1 - min(max(up, 0.0), 1.0))
 
@@ -85,5 +85,5 @@ def plane(
     if y0 < 0 < y1:
         axis = top + height * (1 + y0 / (y1 - y0))
         pen.line([(left, axis), (left + width, axis)], "faint", 1.0)
-    pen.line([place(r) for r in _newest(past, row, points)], "accent", 1.8)
-    pen.circle(place(row), 5.0, "accent", "accent")
+    pen.line([to_page(r) for r in _newest(past, row, points)], "accent", 1.8)
+    pen.circle(to_page(row), 5.0, "accent", "accent")

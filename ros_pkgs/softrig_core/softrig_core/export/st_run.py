@@ -74,13 +74,13 @@ def remainder(a: int, b: int) -> int:
 
 
 def _quiet(function: Callable[..., float]) -> Callable[..., float]:
-    def own(*given: float) -> float:
+    def quiet(*values: float) -> float:
         try:
-            return function(*given)
+            return function(*values)
         except (ValueError, OverflowError):
             return math.nan
 
-    return own
+    return quiet
 
 
 FUNCTIONS: Mapping[str, Any] = {

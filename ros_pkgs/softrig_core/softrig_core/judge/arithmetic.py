@@ -22,16 +22,16 @@ SEVERAL = ("min", "max")  # functions of two numbers or more; the others take on
 def _each(function: Callable[..., float]) -> Callable[..., Array]:
     """Turn a function of numbers into one of arrays, NaN where undefined; numpy's own depend on the CPU."""
 
-    def one(*given: float) -> float:
+    def defined(*arguments: float) -> float:
         try:
-            return function(*given)
+            return function(*arguments)
         except (ValueError, OverflowError, ZeroDivisionError):
             return math.nan
 
     @elementwise
-    def all_(*given: Array) -> Array:
-        arrays = np.broadcast_arrays(*given)
-        flat = [one(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
+    def all_(*arguments: Array) -> Array:
+        arrays = np.broadcast_arrays(*arguments)
+        flat = [defined(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
         return np.array(flat, dtype=np.float64).reshape(arrays[0].shape)
 
     return all_

@@ -74,7 +74,7 @@ class Live:
         samples, truths, late : mapping
             See `softrig_core.judge.robustness.Record`.
         """
-        return tuple(part.push(one, t, samples, truths, late) for part, one in zip(self._parts, x, strict=True))
+        return tuple(part.push(opened, t, samples, truths, late) for part, opened in zip(self._parts, x, strict=True))
 
     def bounds(self, x: tuple[Opened, ...]) -> tuple[float, float]:
         """Return the least and greatest values that the margin may still reach."""
@@ -84,7 +84,7 @@ class Live:
     def decided(self, x: tuple[Opened, ...]) -> bool:
         """Return whether no later message can change the bounds."""
         result = self._now(self._tree, x)
-        return all(one.over for one in x) or bool((result[0] == result[1]).all())
+        return all(opened.over for opened in x) or bool((result[0] == result[1]).all())
 
     def _grow(self, tree: Tree) -> None:
         ((kind, body),) = tree.items()
@@ -124,7 +124,7 @@ class _Part:
         none = INF if self.kind == "Always" else -INF
         return Opened((np.full((2, 2), none), np.full((2, 2), INF)))
 
-    def push(self, x: Opened, t: float, *given: Mapping[str, Any]) -> Opened:
+    def push(self, x: Opened, t: float, *added: Mapping[str, Any]) -> Opened:
         """Add an instant."""
         sure, _, over, after, before, columns = x
         if over:
@@ -132,7 +132,7 @@ class _Part:
         times = np.append(before, t)
         columns = tuple(
             {name: np.append(old[name], value) if name in old else np.array([value]) for name, value in new.items()}
-            for old, new in zip(columns, given, strict=True)
+            for old, new in zip(columns, added, strict=True)
         )
         samples, truths, late = columns
         record = Record(times, samples, truths=truths, late=late, ended=False)

@@ -244,12 +244,12 @@ def mean_error(
 
 def _over_time(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
     """Create a figure from a function of signal - reference and of the time for which each value holds (ns)."""
-    return _statistic(unit, lambda *given: _held_error(*given))  # which is defined below
+    return _statistic(unit, lambda *arguments: _held_error(*arguments))  # which is defined below
 
 
 def _of_samples(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
     """Create a figure from a function of the times and samples of signal - reference."""
-    return _statistic(unit, lambda *given: _error(*given))
+    return _statistic(unit, lambda *arguments: _error(*arguments))
 
 
 def _statistic(unit: str, values: Callable[..., tuple[Array, Array]]) -> Callable[[Callable[..., float]], Function]:

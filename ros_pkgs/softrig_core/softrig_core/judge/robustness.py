@@ -96,10 +96,10 @@ def _uncertain(values: Array, *late: NDArray[Any]) -> Array:
 
 
 @elementwise
-def _opened(values: Array, over: NDArray[Any], which: int, none: float) -> Array:
+def _opened(values: Array, over: NDArray[Any], bound: int, none: float) -> Array:
     """Set one of the bounds to infinity where a window extends beyond the record."""
     result = np.array(values)
-    result[which][:, over] = none
+    result[bound][:, over] = none
     return result
 
 
@@ -148,9 +148,9 @@ def _extremes(values: Array, first: Any, last: Any, pick: Pick, none: float, a: 
 
 def decided(extreme: Extreme, times: Array) -> Margin:
     """Return the margin of a formula that is decided by an extreme of what it compares."""
-    value, at = extreme.value, float(times[extreme.at] / SECOND)
+    value, t = extreme.value, float(times[extreme.at] / SECOND)
     spans = tuple((float(times[a] / SECOND), float(times[b] / SECOND)) for a, b in extreme.spans)
-    return Margin(value, at, spans or (((at, at),) if value < 0.0 else ()), (value, value), INF)
+    return Margin(value, t, spans or (((t, t),) if value < 0.0 else ()), (value, value), INF)
 
 
 class Record:

@@ -41,11 +41,11 @@ def compose(template: str, signal: str) -> str:
 def text(parts: dict[str, int]) -> str:
     """Write a unit from powers, with divisors last."""
 
-    def one(name: str, power: int) -> str:
+    def powered(name: str, power: int) -> str:
         return name if power == 1 else f"{name}^{power}"
 
-    above = " ".join(one(n, p) for n, p in parts.items() if p > 0)
-    below = "".join(f"/{one(n, -p)}" for n, p in parts.items() if p < 0)
+    above = " ".join(powered(n, p) for n, p in parts.items() if p > 0)
+    below = "".join(f"/{powered(n, -p)}" for n, p in parts.items() if p < 0)
     return (above or "1") + below if below else above
 
 

@@ -31,7 +31,7 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
 
     def run_pass(self, state: Any) -> bool:
         """Decide whether a typed function needs reference counts; the function itself is not changed."""
-        if not state.func_ir.is_generator and not any(self._counted(state, made) for made in self._made(state)):
+        if not state.func_ir.is_generator and not any(self._counted(state, created) for created in self._made(state)):
             state.targetctx = state.targetctx.subtarget(enable_nrt=False)
             # The previous context would still count; without it numba refuses a function that allocates after all.
             vars(state.targetctx).pop("nrt", None)

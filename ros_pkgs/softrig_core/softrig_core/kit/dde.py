@@ -151,7 +151,7 @@ class Track:
         """Return it with other values and slopes, in the order of `numbers`."""
         past = self._copy(self._capacity)
         rows = row.reshape(len(FIELDS), *past.x0.shape)
-        return Track(past._replace(**{field: own.copy() for field, own in zip(FIELDS, rows, strict=True)}))
+        return Track(past._replace(**{field: column.copy() for field, column in zip(FIELDS, rows, strict=True)}))
 
     def native(self) -> TrackRing:
         """Return the track in the form of native code."""
@@ -160,8 +160,8 @@ class Track:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Track):
             return NotImplemented
-        mine, theirs = self._copy(self._capacity), other._copy(other._capacity)
-        return all(a.shape == b.shape and (a == b).all() for a, b in zip(mine, theirs, strict=True))
+        left, right = self._copy(self._capacity), other._copy(other._capacity)
+        return all(a.shape == b.shape and (a == b).all() for a, b in zip(left, right, strict=True))
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -164,8 +164,8 @@ class History:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, History):
             return NotImplemented
-        mine, theirs = self._line, other._line
-        return (mine.step, mine.longest, self._newest()) == (theirs.step, theirs.longest, other._newest())
+        left, right = self._line, other._line
+        return (left.step, left.longest, self._newest()) == (right.step, right.longest, other._newest())
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -249,17 +249,17 @@ def _parts(value: Any, path: str, kinds: dict[str, type]) -> _Parts:
     if not isinstance(value, tuple) or not value:
         return _Parts([word], path, word, [])
     kind = type(value)
-    own = [_parts(part, f"{path}[{k}]", kinds) for k, part in enumerate(value)]
+    items = [_parts(part, f"{path}[{k}]", kinds) for k, part in enumerate(value)]
     tests = [f"type({path}) is {'tuple' if kind is tuple else f't{word}'}"]
     if kind is tuple:
         tests.append(f"len({path}) == {len(value)}")
     else:
         kinds[f"t{word}"] = kind
     return _Parts(
-        [name for part in own for name in part.names],
-        ", ".join(part.handed for part in own) if any(part.tests for part in own) else f"*{path}",
-        f"{'' if kind is tuple else f't{word}'}({''.join(f'{part.made}, ' for part in own)})",
-        tests + [test for part in own for test in part.tests],
+        [name for part in items for name in part.names],
+        ", ".join(part.handed for part in items) if any(part.tests for part in items) else f"*{path}",
+        f"{'' if kind is tuple else f't{word}'}({''.join(f'{part.made}, ' for part in items)})",
+        tests + [test for part in items for test in part.tests],
     )
 
 

@@ -28,8 +28,8 @@ def _times(schedule: Schedule, first: int, last: int) -> NDArray[np.int64]:
 
 def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
     """Return the connections from one step to another, each with its part of the answer."""
-    where = places(source.outputs)
-    return [(fill, where[fill.output]) for fill in reader.fed.values() if fill.source is source]
+    slots = places(source.outputs)
+    return [(fill, slots[fill.output]) for fill in reader.fed.values() if fill.source is source]
 
 
 def answered(
@@ -172,8 +172,8 @@ class Audience:
                     s.t = s.schedule.time(k // every)
                     if not s.plain:
                         s.mark(s.t, parted(s.outputs, numbers[index], stamps[index]))
-                    for fill, where in readers:
-                        row = part(numbers[index], stamps[index], where)
+                    for fill, slots in readers:
+                        row = part(numbers[index], stamps[index], slots)
                         if row is not None:
                             fill.set_value(row)
             for w, every in watchers:

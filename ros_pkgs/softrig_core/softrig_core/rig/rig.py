@@ -297,18 +297,18 @@ def _signals(*ports: Port) -> frozenset[str]:
 def _named(
     figures: Mapping[str, FigureEntry], plots: tuple[PlotEntry, ...], known: frozenset[str]
 ) -> tuple[dict[str, FigureEntry], tuple[PlotEntry, ...]]:
-    def whole(value: Any) -> Any:
+    def full(value: Any) -> Any:
         if isinstance(value, str) and "/" in value and "$" not in value and value not in known:
             return " - ".join(full_name(part, known) for part in value.split(" - "))
         return value
 
     def entry(f: FigureEntry) -> FigureEntry:
-        since = ", ".join(map(whole, f.since.split(", ")))
-        return f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}, "since": since})
+        since = ", ".join(map(full, f.since.split(", ")))
+        return f.model_copy(update={"arguments": {k: full(v) for k, v in f.arguments.items()}, "since": since})
 
     return (
         {name: entry(f) for name, f in figures.items()},
-        tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in plots),
+        tuple(p.model_copy(update={"signals": {full(n): t for n, t in p.signals.items()}}) for p in plots),
     )
 
 

@@ -233,15 +233,15 @@ class _Keeper(_ToSink):
 
     def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
         """Record many messages; numbered ones singly, by their encoder."""
-        where = places(self._ports)
+        slots = places(self._ports)
         if all(p.sporadic for p in self._ports):
             # Most ticks of such a node are silent; whether each output publishes is in the last columns.
-            published = numbers[:, where[0][3] :].any(axis=1)
+            published = numbers[:, slots[0][3] :].any(axis=1)
             times, numbers, stamps = times[published], numbers[published], stamps[published]
         if self._numbered:
             super().send_all(times, numbers, stamps)
             return
-        for (low, high, late, flag), (number, layout) in zip(where, self._layouts.items(), strict=True):
+        for (low, high, late, flag), (number, layout) in zip(slots, self._layouts.items(), strict=True):
             rows, marks, published_at = numbers[:, low:high], times if late is None else stamps[:, late], times
             if flag is not None:
                 announced = numbers[:, flag] != 0.0

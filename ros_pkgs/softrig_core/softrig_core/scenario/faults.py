@@ -126,9 +126,9 @@ def insert(
             "remap": {},
             "external": False,
         }
-        for place in concerned:
-            readers[place] = ends
-            result[place[0]]["remap"] |= _remap(nodes[place[0]]["remap"], topic, ends)
+        for input_key in concerned:
+            readers[input_key] = ends
+            result[input_key[0]]["remap"] |= _remap(nodes[input_key[0]]["remap"], topic, ends)
     return result
 
 

@@ -160,26 +160,26 @@ def _with_whole_paths(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
     What is found from the current directory is left as it is written.
     """
 
-    def whole(value: Any) -> Any:
+    def full(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {k: whole(v) for k, v in value.items()}
+            return {k: full(v) for k, v in value.items()}
         if isinstance(value, list):
-            return [whole(v) for v in value]
+            return [full(v) for v in value]
         if not isinstance(value, str) or not _FILE.fullmatch(value) or isfile(value):
             return value
-        return str(there.absolute()) if isfile(there := path.parent / value) else value
+        return str(file.absolute()) if isfile(file := path.parent / value) else value
 
     def linked(link: Any) -> Any:
         if not isinstance(link, Mapping):
             return link
         result = dict(link)
         firmware, port = result.get("firmware"), result.get("port")
-        if isinstance(firmware, str) and not exists(firmware) and exists(there := path.parent / firmware):
-            result["firmware"] = str(there.absolute())
+        if isinstance(firmware, str) and not exists(firmware) and exists(file := path.parent / firmware):
+            result["firmware"] = str(file.absolute())
         if isinstance(port, str) and port.startswith(tuple(f"{kind}:" for kind in SIMULATORS)):
             kind, _, name = port.partition(":")
-            if not isfile(name) and isfile(there := path.parent / name):
-                result["port"] = f"{kind}:{there.absolute()}"
+            if not isfile(name) and isfile(file := path.parent / name):
+                result["port"] = f"{kind}:{file.absolute()}"
         return result
 
     def inside(part: Any) -> Any:
@@ -187,10 +187,10 @@ def _with_whole_paths(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
             return part
         result = dict(part)
         if "shared" in result:
-            result["shared"] = whole(result["shared"])
+            result["shared"] = full(result["shared"])
         if isinstance(nodes := result.get("nodes"), Mapping):
             result["nodes"] = {
-                name: {k: whole(v) if k == "parameters" else linked(v) if k == "link" else v for k, v in node.items()}
+                name: {k: full(v) if k == "parameters" else linked(v) if k == "link" else v for k, v in node.items()}
                 if isinstance(node, Mapping)
                 else node
                 for name, node in nodes.items()

@@ -84,9 +84,9 @@ class Kept(NamedTuple):
         result = self._joined(size, "values", k)
         return result[len(result) - number :]
 
-    def _joined(self, size: int, *place: Any) -> NDArray[Any]:
+    def _joined(self, size: int, *selection: Any) -> NDArray[Any]:
         """Return one number of all messages; block by block, because a window may have hundreds of MB."""
-        kind, field, *column = _rows(size), *place
+        kind, field, *column = _rows(size), *selection
         parts = [np.frombuffer(block, kind)[field] for block in (*self.blocks, self.filling, self.newest)]
         return np.concatenate([part[:, column[0]] if column else part for part in parts])
 

@@ -173,8 +173,8 @@ class Topic:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Topic):
             return NotImplemented
-        mine, theirs = (self.name, self.msgtype, self.times), (other.name, other.msgtype, other.times)
-        return mine == theirs and self.data == other.data
+        left, right = (self.name, self.msgtype, self.times), (other.name, other.msgtype, other.times)
+        return left == right and self.data == other.data
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -279,6 +279,6 @@ def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> A
 
 def _labels(msgtype: str, message: Message) -> list[str]:
     counts = {name: len(values) for name, values in message.fields.items()}
-    found = TYPES[msgtype].labels(counts, message.names, message.dims)
+    labels = TYPES[msgtype].labels(counts, message.names, message.dims)
     # Two channels of one name are told apart by their places.
-    return list(found if len(set(found)) == len(found) else TYPES[msgtype].labels(counts))
+    return list(labels if len(set(labels)) == len(labels) else TYPES[msgtype].labels(counts))

@@ -33,19 +33,19 @@ class Fleet(Drawing):
         wide = min(0.62 * step, 40.0)
         foot = self.TOP + self.HEIGHT
 
-        def at(power: float) -> float:
+        def y_of(power: float) -> float:
             return foot - self.HEIGHT * min(max(power / top, 0.0), 1.0)
 
         for k in range(5):
-            y = at(top * k / 4)
+            y = y_of(top * k / 4)
             pen.line([(self.LEFT, y), (self.LEFT + self.WIDTH, y)], "faint", 1.0)
             pen.text((self.LEFT - 6, y + 4), f"{top * k / 4:.0f}", "muted", 10.0, "end")
         pen.text((self.LEFT - 6, self.TOP - 14), self.total.unit, "muted", 11.0, "end")
         for k, name in enumerate(self.names):
             x = self.LEFT + step * (k + 0.5) - wide / 2
-            pen.box(x, at(self.high[k]), wide, at(self.low[k]) - at(self.high[k]), "muted", "paper", 1.0)
-            pen.box(x, foot, wide, at(self.outputs[k](row)) - foot, "accent", "accent", 0)
-            pen.line([(x - 2, at(self.wanted[k](row))), (x + wide + 2, at(self.wanted[k](row)))], "second", 2.0)
+            pen.box(x, y_of(self.high[k]), wide, y_of(self.low[k]) - y_of(self.high[k]), "muted", "paper", 1.0)
+            pen.box(x, foot, wide, y_of(self.outputs[k](row)) - foot, "accent", "accent", 0)
+            pen.line([(x - 2, y_of(self.wanted[k](row))), (x + wide + 2, y_of(self.wanted[k](row)))], "second", 2.0)
             pen.text((x + wide / 2, foot + 15), name if n <= 20 or k % 2 == 0 else "", "muted", 10.0, "middle")
         full = max(sum(self.high), 1.0)
         pen.box(self.LEFT, 276.0, self.WIDTH, 14.0, "muted", "paper", 1.0)

@@ -102,16 +102,16 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         self._weights = Weights(p.network.omega, p.step, p.substeps)
         self._point = point = operating_point(p)
         begin, rows = point.start, slice(-p.substeps - 1, None)
-        seen = Rows(*(row[rows].copy() for row in (begin.bus, begin.current, begin.converter)))
-        between = 0.5 * (seen.current[1:] + seen.current[:-1])[:, [I_SH, I12, I34]]
-        power = dense.times(seen.converter[1:], between.conj()).real.mean(axis=0)
+        window = Rows(*(row[rows].copy() for row in (begin.bus, begin.current, begin.converter)))
+        between = 0.5 * (window.current[1:] + window.current[:-1])[:, [I_SH, I12, I34]]
+        power = dense.times(window.converter[1:], between.conj()).real.mean(axis=0)
         sigmas = (p.network.shunt_sigma, *(self._conduction(v, point.v_dc) for v in (point.v12, point.v34)))
         omega = p.network.omega
         shunt, series_1, series_2 = (
             Command(sigma, cmath.phase(v) - p.period * omega, omega)
             for sigma, v in zip(sigmas, (point.v_sh, point.v12, point.v34), strict=True)
         )
-        self._begin = State(begin.state, (shunt, series_1, series_2), Seen(seen, power))
+        self._begin = State(begin.state, (shunt, series_1, series_2), Seen(window, power))
 
     def first(self) -> State:
         """Return the steady state at the references of the parameters, as if its last command had always acted."""
@@ -122,8 +122,8 @@ class GupfcPlant(Plant[GupfcPlantParams]):
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return the measured vectors, the DC voltage and the status at t."""
-        seen = x.seen
-        rows = seen.rows
+        window = x.seen
+        rows = window.rows
         buses, branches = self._weights(rows.bus), self._weights(rows.current)
         u1, u2, u4 = complex(buses[BUS1]), complex(buses[BUS2]), complex(buses[BUS4])
         i_sh, i12, i34 = complex(branches[I_SH]), complex(branches[I12]), complex(branches[I34])
@@ -139,7 +139,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             "i12": (i12.real, i12.imag, 0.0),
             "i34": (i34.real, i34.imag, 0.0),
             "dc_link": (v_dc * self.p.network.dc_voltage,),
-            "status": (s1.real, s1.imag, s2.real, s2.imag, abs(u1), v_dc, *seen.power.tolist(), v12, v34),
+            "status": (s1.real, s1.imag, s2.real, s2.imag, abs(u1), v_dc, *window.power.tolist(), v12, v34),
         }
         if self.p.trace:
             shown = (rows.converter[1:, 0], rows.converter[1:, 1], rows.bus[1:, BUS1], rows.current[1:, I_SH])
