@@ -50,3 +50,18 @@ def test_a_list_of_unchanged_scenarios_loads_none_of_them(tmp_path):
     places = {"SOFTRIG_SCENARIOS": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path), "AMENT_PREFIX_PATH": str(PACKAGE)}
     assert 300 < started([["list"]], ("numba", "softrig_core.native"), tmp_path, **places) <= 470
     assert started([["list"]], NONE, tmp_path, **places) <= 160
+
+
+def test_native_code_loads_neither_scipy_nor_coverage():
+    """numba imports both where they are installed; functions of the user still have scipy's BLAS."""
+    code = """
+import sys
+from softrig_core.kit.jit import our_numba
+numba = our_numba()
+found = {"scipy", "coverage"} & sys.modules.keys()
+assert not found, found
+from numba.np import arraymath
+import scipy
+assert arraymath._HAVE_BLAS
+"""
+    subprocess.run([sys.executable, "-P", "-c", code], check=True)

@@ -16,10 +16,13 @@ import hashlib
 import math
 import os
 import sys
+import threading
 import types
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import EnumType
 from functools import lru_cache, update_wrapper
+from importlib.util import find_spec
 from typing import Any, NamedTuple, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -222,16 +225,50 @@ def our_numba() -> Any:
     if sets:
         os.environ[SVML] = "1"
     try:
-        import numba
+        with _without_libraries():
+            import numba
+            from numba.core.registry import cpu_target
+
+            # What numba would load with its first function.
+            cpu_target.typing_context.refresh()
+            cpu_target.target_context.refresh()
     except ImportError:
         return None
     finally:
         if sets:
             del os.environ[SVML]
+    # numba has looked for scipy once. Native code of the user may need it, and then it is imported.
+    vars(sys.modules["numba.np.arraymath"])["_HAVE_BLAS"] = find_spec("scipy") is not None
     from ._jit_cache import teach
 
     teach(numba, Jit, power)
     return numba
+
+
+class _Without:
+    """A finder that lets this thread import neither scipy nor coverage.
+
+    numba loads both if they are installed, which takes longer than to load the code of a rig. Ours needs no functions
+    of scipy, and coverage only where it is loaded already.
+    """
+
+    def __init__(self) -> None:
+        self._thread = threading.get_ident()
+
+    def find_spec(self, name: str, *_: object) -> None:
+        """Refuse them; other modules are left to the other finders."""
+        if name.partition(".")[0] in ("scipy", "coverage") and threading.get_ident() == self._thread:
+            raise ImportError(name)
+
+
+@contextmanager
+def _without_libraries() -> Iterator[None]:
+    finder: Any = _Without()
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
 
 
 class _Parts(NamedTuple):
