@@ -84,7 +84,7 @@ class Worker:
     """A fork and the tests that it still has to run."""
 
     def __init__(self, session, folder, others):
-        self.connection, there = Pipe()
+        self.connection, child_end = Pipe()
         self.todo = []  # indices of tests; the first one is running
         sys.stdout.flush()
         with warnings.catch_warnings():  # the other threads are those of OpenBLAS and jemalloc, which see to forks
@@ -94,8 +94,8 @@ class Worker:
             for connection in [self.connection, *others]:
                 # a worker detects the end of its parent only if no other process holds the connection
                 connection.close()
-            _work(session, there, folder)
-        there.close()
+            _work(session, child_end, folder)
+        child_end.close()
         self.ended = os.pidfd_open(self.pid)  # its processes may hold its end of the connection open
 
     def give(self, todo):

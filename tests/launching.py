@@ -105,7 +105,7 @@ def launch(values, variables, meddle=lambda processes: None):
 
     Several launches on one domain: `values` is a list.
     """
-    nodes = [node for given in (values if isinstance(values, list) else [values]) for node in nodes_of(given)]
+    nodes = [node for one in (values if isinstance(values, list) else [values]) for node in nodes_of(one)]
     context, status, messages = SimpleNamespace(is_shutdown=False), 0, []
     stack, running = ExitStack(), {}
     try:

@@ -102,9 +102,9 @@ class World:
     def match(self):
         if self.discovery is not None:
             return
-        for here, there in ((self.writers, self.readers), (self.readers, self.writers)):
-            for end in here:
-                end.matched(sum(o.meets(end) for o in there))
+        for own_ends, other_ends in ((self.writers, self.readers), (self.readers, self.writers)):
+            for end in own_ends:
+                end.matched(sum(o.meets(end) for o in other_ends))
 
     def run(self, until, stop=lambda: False):
         while self.events and self.events[0][0] <= until and not stop():
@@ -166,8 +166,8 @@ class Discovery:
         key = (id(end), id(observer))
         if key not in self._shown:
             self._shown[key] = max(end.born, observer.born) + self._delay()
-        gone = end.node.dead and self.world.now > end.node.dead + self.longest
-        return self._shown[key] <= self.world.now and not gone
+        lease_over = end.node.dead and self.world.now > end.node.dead + self.longest
+        return self._shown[key] <= self.world.now and not lease_over
 
     def leave(self, node):
         """A node has finished: it leaves when its messages have arrived."""
@@ -248,13 +248,13 @@ class SimulatedNode(Middleware):
         else:
             end.receive(data)
 
-    def in_turn(self, call, *given):
+    def in_turn(self, call, *arguments):
         """Return what is not a message."""
         if self.prompt:
             with self.monitor:
-                call(*given)
+                call(*arguments)
         else:
-            call(*given)
+            call(*arguments)
 
     def resolve(self, topic):
         topic = self.remap.get(topic, topic)
@@ -407,11 +407,11 @@ class SimulatedRig:
     def _adapter(self, member, mode, seed, options, process, files):
         rig, world = self.rig, self.world
         parameters = node_parameters(rig, member, seed, mode, recorders=self.recorders, returns=self.returns)
-        given = {k.removeprefix("run."): v for k, v in parameters.items() if k.startswith("run.")}
-        given |= {"epoch": self.epoch, **options}
+        run_options = {k.removeprefix("run."): v for k, v in parameters.items() if k.startswith("run.")}
+        run_options |= {"epoch": self.epoch, **options}
         node = SimulatedNode(world, member.name, member.remap, process)
         sink = _Sink.__new__(_Sink)
-        adapter = Adapter(node, member.block(seed), RunOptions(**given), sink)
+        adapter = Adapter(node, member.block(seed), RunOptions(**run_options), sink)
         sink.__init__(self.recording, adapter.record.topics)
         adapter.files = files
         if world.discovery is not None:
@@ -444,9 +444,11 @@ class SimulatedRig:
 
         def files():
             now = {n: a for n, a in self.adapters.items() if n != name}
-            gone = frozenset(n for n, a in now.items() if a.state == "done")
-            answered = {n: math.inf if n in gone else 0.0 if n in self.coming else float(a.t) for n, a in now.items()}
-            return Files(self.recording.before(1 << 62), died, answered, gone)
+            lease_over = frozenset(n for n, a in now.items() if a.state == "done")
+            answered = {
+                n: math.inf if n in lease_over else 0.0 if n in self.coming else float(a.t) for n, a in now.items()
+            }
+            return Files(self.recording.before(1 << 62), died, answered, lease_over)
 
         def start():
             self.coming.discard(name)

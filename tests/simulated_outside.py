@@ -73,7 +73,11 @@ class SimulatedOutside:
         self.node.subscribe(port.topic, port.msgtype, Listening(receive))
 
     def _start(self):
-        if len(self.writers) == len(self.said) and all(there >= n for n, there in self.needs.values()) and self.heard:
+        if (
+            len(self.writers) == len(self.said)
+            and all(received >= n for n, received in self.needs.values())
+            and self.heard
+        ):
             for topic, record in self.said.items():  # repeat until a node answers
                 self.next[topic] = 1
                 self.writers[topic](bytes(record.data[0]))

@@ -247,8 +247,8 @@ def test_a_message_with_a_repeated_name_is_read_by_position_and_the_others_by_na
     for k, names in enumerate(forms):
         recording.add(0, k, Layout(STATE, "", names, {"effort": 2}).encode(k, (k + 1.0, -k - 1.0)))
     write_bag(tmp_path / "bag", recording)
-    for found in (Signals(recording), signals(tmp_path / "bag")):
-        columns = {name: x.tolist() for name, x in found.table("joints").columns.items()}
+    for signals_read in (Signals(recording), signals(tmp_path / "bag")):
+        columns = {name: x.tolist() for name, x in signals_read.table("joints").columns.items()}
         nan = np.nan
         assert columns.keys() == {"a/effort", "b/effort", "effort/0", "effort/1"}
         assert np.array_equal(columns["a/effort"], [nan, 2, nan, 4], equal_nan=True)

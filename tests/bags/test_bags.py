@@ -839,9 +839,9 @@ def test_the_metadata_lists_the_content_of_each_file(tmp_path, storage, begin, s
         ]
         assert messages == [(f[0], f[-1] - f[0], len(f)) for f in files]
         assert [t["message_count"] for t in info["topics_with_message_count"]] == [len(times), 0]
-        with Reader(tmp_path / "bag") as theirs:
-            assert (theirs.start_time, theirs.duration, theirs.message_count) == (begin, 76, len(times))
-            assert [t for _, t, _ in theirs.messages()] == times
+        with Reader(tmp_path / "bag") as reader:
+            assert (reader.start_time, reader.duration, reader.message_count) == (begin, 76, len(times))
+            assert [t for _, t, _ in reader.messages()] == times
 
     check()
     (tmp_path / "bag/metadata.yaml").unlink()

@@ -121,8 +121,8 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
 
 def test_other_versions_use_the_tolerances_for_other_machines():
     golden = load(BAGS / "induction_dtc_short")
-    here = golden.recipe.model_copy(update={"made_with": versions()})  # as if the present versions had made the bag
-    golden = type(golden)(golden.folder, here, golden.rig)
+    recipe = golden.recipe.model_copy(update={"made_with": versions()})  # as if the present versions had made the bag
+    golden = type(golden)(golden.folder, recipe, golden.rig)
     assert golden.made_here
     assert golden.recipe.elsewhere
     moved = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"numpy": "1.0"}})
@@ -134,20 +134,22 @@ def test_other_versions_use_the_tolerances_for_other_machines():
     assert type(golden)(golden.folder, python, golden.rig).made_here
 
 
-@pytest.mark.parametrize(("there", "same"), [("3.10.0", False), ("3.12.1", True), ("3.13.9", True), ("3.14.0", False)])
-def test_another_version_of_python_requires_tolerances_for_blocks_that_are_not_ours(monkeypatch, there, same):
+@pytest.mark.parametrize(
+    ("recorded_with", "same"), [("3.10.0", False), ("3.12.1", True), ("3.13.9", True), ("3.14.0", False)]
+)
+def test_another_version_of_python_requires_tolerances_for_blocks_that_are_not_ours(monkeypatch, recorded_with, same):
     """`sum` changed in 3.12 and 3.14; our own blocks do not use it."""
     golden = load(BAGS / "dc_motor_smc_b1")
     now = versions() | {"python": "3.13.0"}
     monkeypatch.setattr("softrig_bringup.verbs.golden.versions", lambda: now)
-    recipe = golden.recipe.model_copy(update={"made_with": now | {"python": there}})
+    recipe = golden.recipe.model_copy(update={"made_with": now | {"python": recorded_with}})
     golden = type(golden)(golden.folder, recipe, golden.rig)
     assert golden.made_here
     member = golden.rig.members[-1]
     own = type("Own", (member.block_class,), {"__module__": "my_laws.law"})
     monkeypatch.setattr(member, "block_class", own)
     assert golden.made_here == same
-    assert golden.others == ({} if same else {"python": (there, "3.13.0")})
+    assert golden.others == ({} if same else {"python": (recorded_with, "3.13.0")})
 
 
 def test_each_line_of_the_page_is_one_that_a_check_prints():
@@ -405,12 +407,12 @@ def test_another_duration_or_seed_keeps_what_was_edited_by_a_person(tmp_path):
         ({"seed": -1}, r"golden\.yaml: seed: Input should be greater than or equal to 0, got -1"),
     ],
 )
-@pytest.mark.parametrize("there", [True, False])
-def test_an_impossible_golden_run_is_refused_and_changes_nothing(tmp_path, there, keys, message):
+@pytest.mark.parametrize("recorded_with", [True, False])
+def test_an_impossible_golden_run_is_refused_and_changes_nothing(tmp_path, recorded_with, keys, message):
     file = tmp_path / "dc_motor_smc_b1" / "golden.yaml"
-    if there:
+    if recorded_with:
         create(file.parent, "dc_motor_smc_b1", 0.1)
-    before = file.read_text() if there else None
+    before = file.read_text() if recorded_with else None
     with pytest.raises(ScenarioError, match=message):
         remade(["dc_motor_smc_b1"], tmp_path, **keys)
     assert (file.read_text() if file.exists() else None) == before

@@ -121,9 +121,9 @@ for job in sys.argv[1:]:
 def killed(place, times):
     """Folders that killed recorders have left, `times` of each preset."""
     jobs = [
-        (kind, given, str(place / f"{kind}_{name}_{k}"))
+        (kind, options, str(place / f"{kind}_{name}_{k}"))
         for kind, presets in (("sqlite", SQLITE), ("mcap", MCAP))
-        for name, given in presets.items()
+        for name, options in presets.items()
         for k in range(times)
     ]
     command = [sys.executable, "-c", CHILD, *map(repr, jobs)]

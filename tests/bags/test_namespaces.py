@@ -61,20 +61,20 @@ def test_a_rig_in_a_namespace_is_read_as_if_it_were_alone(name, bags):
 @pytest.mark.parametrize("how", [[], ["--align"]])
 def test_rigs_of_one_bag_are_compared_with_each_other_and_with_another_bag(words, status, how, bags, capsys):
     a, b, *names = words
-    given = [word for name in names for word in ("--namespace", name)]
-    assert main(["bag", "compare", str(bags / a), str(bags / b), *given, *how]) == status
+    command = [word for name in names for word in ("--namespace", name)]
+    assert main(["bag", "compare", str(bags / a), str(bags / b), *command, *how]) == status
     printed = capsys.readouterr().out
     assert "plant/state" in printed
     assert ("c/plant" in printed) == (names == ["/", "/"])
 
 
 def test_a_namespace_that_the_bag_does_not_have_is_refused_with_a_list(bags, capsys):
-    for given, reported in (
+    for arguments, reported in (
         (["c"], "no topic in the namespace /c; expected one of /a, /b, /deep, /ab, /plant"),
         (["a b"], "'a b' is not the name of a namespace"),
         (["a", "b", "a"], "--namespace is expected once"),
     ):
-        words = [word for name in given for word in ("--namespace", name)]
+        words = [word for name in arguments for word in ("--namespace", name)]
         assert main(["bag", "compare", str(bags / "together"), str(bags / "together"), *words]) == 2
         assert reported in capsys.readouterr().err
     assert main_bag(["export", str(bags / "together"), "--namespace", "a/b", "--format", "csv"]) == 2

@@ -430,7 +430,7 @@ def test_changes_in_the_bag_are_set_before_their_tick(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("there", "text"),
+    ("discovered", "text"),
     [
         ({}, r"no node publishes /out"),
         ({"recorded": True}, r"no node publishes /out"),
@@ -439,13 +439,13 @@ def test_changes_in_the_bag_are_set_before_their_tick(monkeypatch):
         ({"name": "law", "inputs": ["/in"], "deaf": True}, r"/in is not matched"),
     ],
 )
-def test_missing_nodes_are_named_when_the_timeout_ends(monkeypatch, there, text):
+def test_missing_nodes_are_named_when_the_timeout_ends(monkeypatch, discovered, text):
     world = World(monkeypatch)
-    topics = [("/in", HEADER), ("/too", HEADER), *([("/out", HEADER)] if there.get("recorded") else [])]
-    if "name" in there:
-        Law(world, there.get("inputs", ()), ["/out"], name=there["name"])
+    topics = [("/in", HEADER), ("/too", HEADER), *([("/out", HEADER)] if discovered.get("recorded") else [])]
+    if "name" in discovered:
+        Law(world, discovered.get("inputs", ()), ["/out"], name=discovered["name"])
     played = replaying(world, Bag(topics, headers(0, 0)), timeout=2.0)
-    if there.get("deaf"):
+    if discovered.get("deaf"):
         monkeypatch.setattr(played._publishers, "unheard", list)
     with pytest.raises(RunError, match=rf"^no node to play to within 2 s: {text}$"):
         played.run()

@@ -341,9 +341,9 @@ def test_a_recorder_requests_what_all_publishers_offer_and_a_player_offers_what_
         VOLATILE if VOLATILE in durability else LATCHED,
     )
     topic = BagTopic("/x", HEADER, offered=tuple(map(ros.offered, profiles)))
-    given = ros.publisher_profile(topic)
+    profile = ros.publisher_profile(topic)
     latched = [5 + k for k, d in enumerate(durability) if d == LATCHED]
-    assert (given.history, given.reliability, given.durability, given.depth) == (
+    assert (profile.history, profile.reliability, profile.durability, profile.depth) == (
         HistoryPolicy.KEEP_LAST,
         RELIABLE if RELIABLE in reliability else BEST,
         LATCHED if latched else VOLATILE,
@@ -378,8 +378,8 @@ def test_latched_publishers_become_one_with_the_sum_of_their_depths(publishers, 
     """At least the 10 of rosbag2's offer, which would lose the first two of twelve static transforms."""
     offers = [qos(QosDurability.TRANSIENT_LOCAL, depth=depth) for depth, _ in publishers]
     offers = [q._replace(history=QosHistory.KEEP_ALL) if h == "all" else q for q, (_, h) in zip(offers, publishers)]
-    given = ros.publisher_profile(BagTopic("/tf_static", HEADER, offered=tuple(offers)))
-    assert (given.depth, given.durability, given.history) == (kept, LATCHED, HistoryPolicy.KEEP_LAST)
+    profile = ros.publisher_profile(BagTopic("/tf_static", HEADER, offered=tuple(offers)))
+    assert (profile.depth, profile.durability, profile.history) == (kept, LATCHED, HistoryPolicy.KEEP_LAST)
 
 
 # sessions --------------------------------------------------------------------------------------------------------

@@ -170,11 +170,11 @@ def test_a_topic_without_stamp_and_number_proves_nothing():
 def test_a_gap_longer_than_the_limit_is_a_hold():
     now, count = [10.0], iter((5, 9))
     holds = Holds(2.5, lambda: now[0])
-    held = []
+    kept_rows = []
     for pause in (2.5, 2.625, 0.0, 100.0):
         now[0] += pause
-        held.append(holds.wake(lambda: next(count)))
-    assert held == [False, True, False, True]
+        kept_rows.append(holds.wake(lambda: next(count)))
+    assert kept_rows == [False, True, False, True]
     assert str(holds) == "2.6 s after message 5, 100.0 s after message 9"
     assert holds.gaps == [(2.625, 5), (100.0, 9)]
 

@@ -115,9 +115,9 @@ def test_drives_are_measured_beside_their_peer(monkeypatch, capsys):
 
 
 def test_the_duty_ratios_of_a_drive_are_those_of_its_periods():
-    given, signals = machines.duty_ratios("pmsm_foc", 0.003)
-    assert len(given["duties"]) == len(given["load"]) == 30
-    assert given["duties"][5] == [signals[f"applied_duty/{leg}/effort"].x[6] for leg in "abc"]
+    ratios, signals = machines.duty_ratios("pmsm_foc", 0.003)
+    assert len(ratios["duties"]) == len(ratios["load"]) == 30
+    assert ratios["duties"][5] == [signals[f"applied_duty/{leg}/effort"].x[6] for leg in "abc"]
 
 
 @pytest.mark.long

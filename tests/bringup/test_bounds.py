@@ -145,9 +145,9 @@ def test_no_command_line_reads_a_number_without_a_range():
             continue
         for call in ast.walk(ast.parse(source)):
             if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_argument":
-                given = {word.arg: word.value for word in call.keywords}
-                kind = getattr(given.get("type"), "id", "")
-                assert kind not in ("int", "float") or "choices" in given, f"{file}:{call.lineno}: expected Number"
+                arguments = {word.arg: word.value for word in call.keywords}
+                kind = getattr(arguments.get("type"), "id", "")
+                assert kind not in ("int", "float") or "choices" in arguments, f"{file}:{call.lineno}: expected Number"
 
 
 @pytest.mark.parametrize("value", ["1_000", "[1_000]", "[1, '2_0']", "'1_000'"])

@@ -36,8 +36,8 @@ def cases(file):
 def test_results_of_a_check_are_reported_in_words_xml_and_json(files, tmp_path, capsys):
     holds, fails, _ = files
     junit, report = tmp_path / "report.xml", tmp_path / "report.json"
-    given = ["check", str(holds), str(fails), "--junit", str(junit), "--json", str(report), "--workers", "1"]
-    assert main(given) == 1
+    command = ["check", str(holds), str(fails), "--junit", str(junit), "--json", str(report), "--workers", "1"]
+    assert main(command) == 1
     printed = capsys.readouterr().out
     assert f"{holds}: 1 hold, 0 do not" in printed
     assert f"{fails}: 0 hold, 1 do not" in printed

@@ -518,8 +518,8 @@ def test_pip_is_used_without_uv_and_a_shared_environment_is_not_installed_twice(
     assert text.returncode == 2
     assert "setup tables: no such set; there are run uv" in text.stderr
     python = tmp_path / ".venv" / "bin" / "python"
-    for gone in (lambda: shutil.rmtree(tmp_path / ".venv"), lambda: (python.unlink(), python.symlink_to("/gone"))):
-        gone()  # the user has removed .venv, or uninstalled the Python that made it
+    for missing in (lambda: shutil.rmtree(tmp_path / ".venv"), lambda: (python.unlink(), python.symlink_to("/gone"))):
+        missing()  # the user has removed .venv, or uninstalled the Python that made it
         text = softrig("setup", "run")
         assert (text.returncode, python.is_file()) == (0, True), text.stderr
 
@@ -743,9 +743,9 @@ def test_a_variant_may_be_named_by_a_number(folder):
 
 
 def test_a_current_directory_that_has_been_removed_is_named(tmp_path):
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    result = command("list", preexec_fn=lambda: (os.chdir(gone), gone.rmdir()), capture_output=True, text=True)
+    missing = tmp_path / "gone"
+    missing.mkdir()
+    result = command("list", preexec_fn=lambda: (os.chdir(missing), missing.rmdir()), capture_output=True, text=True)
     assert result.returncode == 2
     assert result.stderr == "softrig: the current directory has been removed; change to one that exists\n"
 

@@ -100,12 +100,12 @@ def test_their_commands_work_in_a_fresh_folder_in_order(tmp_path):
     """As in the image and on the runner: a separate home, no ROS, no environment of ours; all but the test suite
     itself.
     """
-    there = tmp_path / "softrig"
+    checkout = tmp_path / "softrig"
     ignored = shutil.ignore_patterns("__pycache__", "*.egg-info")
     for name in ("scripts", "ros_pkgs", "config", "bags"):
-        shutil.copytree(ROOT / name, there / name, ignore=ignored)
-    ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "LD_", "_ROS_", "ROS_", "PYTEST_")
-    user = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+        shutil.copytree(ROOT / name, checkout / name, ignore=ignored)
+    prefixes = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "LD_", "_ROS_", "ROS_", "PYTEST_")
+    user = {k: v for k, v in os.environ.items() if not k.startswith(prefixes)}
     user |= {"HOME": str(tmp_path), "PATH": f"{sys.base_prefix}/bin:/usr/bin:/bin"}
 
     def run(command, folder):
@@ -123,11 +123,11 @@ def test_their_commands_work_in_a_fresh_folder_in_order(tmp_path):
     entry, arguments = (json.loads(next(r for w, r in instructions() if w == word)) for word in ("ENTRYPOINT", "CMD"))
     assert "dc_motor_smc_b2" in run(shlex.join(entry + arguments), tmp_path)
     for command in commands("rigs"):
-        run(command, there)
+        run(command, checkout)
     for name in ("check", "run", "golden"):
-        report = ET.parse(there / "runs" / f"{name}.xml").getroot()
+        report = ET.parse(checkout / "runs" / f"{name}.xml").getroot()
         assert int(report.attrib["tests"]) > 0
         assert report.attrib["failures"] == report.attrib["errors"] == "0"
-    assert [b["pass"] for b in json.loads((there / "runs" / "golden.json").read_text())] == [True]
-    assert (there / "runs" / "dc_motor_smc_b2" / "report.html").is_file()
-    run(DEVCONTAINER["postCreateCommand"], there)
+    assert [b["pass"] for b in json.loads((checkout / "runs" / "golden.json").read_text())] == [True]
+    assert (checkout / "runs" / "dc_motor_smc_b2" / "report.html").is_file()
+    run(DEVCONTAINER["postCreateCommand"], checkout)

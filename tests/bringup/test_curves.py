@@ -559,12 +559,12 @@ def test_a_word_is_capitalised_in_a_title_and_a_name_is_not(name, title):
 
 
 @pytest.mark.parametrize(
-    ("labels", "unit", "given", "title"),
+    ("labels", "unit", "wanted", "title"),
     [(["a", "b"], "V", "", "Voltage, V"), (["a", "b"], "V", "Own", "Own, V"), (["speed"], "x", "", "Speed, x"),
      (["a", "b"], "x", "", "Value, x"), (["a", "b"], "", "", ""), (["a"], "", "", "a")],
 )  # fmt: skip
-def test_a_value_axis_is_labelled(labels, unit, given, title):
-    assert pictures._value_title([curve([1.0], label=name) for name in labels], unit, given) == title
+def test_a_value_axis_is_labelled(labels, unit, wanted, title):
+    assert pictures._value_title([curve([1.0], label=name) for name in labels], unit, wanted) == title
 
 
 def test_the_style_of_pictures_is_as_expected():

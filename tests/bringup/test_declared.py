@@ -80,9 +80,9 @@ def imports(folder):
 
 
 def test_every_key_exists():
-    ours = {folder.name for folder in PACKAGES}
+    packages = {folder.name for folder in PACKAGES}
     files = [TEMPLATE, *(folder / "package.xml" for folder in PACKAGES)]
-    used = {key for file in files for kind in ("exec", "test", "build") for key in depends(file, kind)} - ours
+    used = {key for file in files for kind in ("exec", "test", "build") for key in depends(file, kind)} - packages
     assert used == {*KEYS["ros"], *KEYS["system"], *KEYS["pip"], *OWN}
     for key, system in KEYS["system"].items():  # no key that rosdistro itself installs from pip
         names = system["ubuntu"]["*"] if isinstance(system["ubuntu"], dict) else system["ubuntu"]

@@ -133,10 +133,10 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
             path = path.partition("?")[0]
             if ":" in path:
                 continue
-            there = (page.parent / urllib.parse.unquote(path)).resolve() if path else page
-            assert there.exists(), (page, target)
-            if anchor and there in results:
-                assert urllib.parse.unquote(anchor) in results[there].names, (page, target)
+            linked = (page.parent / urllib.parse.unquote(path)).resolve() if path else page
+            assert linked.exists(), (page, target)
+            if anchor and linked in results:
+                assert urllib.parse.unquote(anchor) in results[linked].names, (page, target)
     words = Path(html / "searchindex.js").read_text()
     assert "lockstep" in words
 

@@ -181,17 +181,17 @@ def test_new_files_replace_the_old_ones_when_all_are_written(tmp_path):
 
 def test_a_folder_is_locked_by_one_call_at_a_time(tmp_path):
     first, second = ResultsFolder(tmp_path / "x"), ResultsFolder(tmp_path / "x")
-    here = f"process {os.getpid()}"
-    assert (first.hold(), first.hold(), second.hold()) == (None, None, here)
-    text = f"{tmp_path / 'x'}: {here} is writing there; wait for it, or choose another folder"
+    current = f"process {os.getpid()}"
+    assert (first.hold(), first.hold(), second.hold()) == (None, None, current)
+    text = f"{tmp_path / 'x'}: {current} is writing there; wait for it, or choose another folder"
     for call in (second.begin, second.alone().__enter__, folders.alone_in(tmp_path / "x").__enter__):
         with pytest.raises(ScenarioError, match=f"^{re.escape(text)}$"):
             call()
     first.let_go()
     with second.alone():
-        assert first.hold() == here
+        assert first.hold() == current
     with folders.alone_in(tmp_path / "x"):
-        assert first.hold() == here
+        assert first.hold() == current
     assert first.hold() is None
     del first
     assert second.hold() is None
@@ -342,19 +342,19 @@ def test_counters_of_a_node_in_real_time_are_reported():
 
 
 def test_the_most_likely_different_version_is_named_as_expected():
-    there = {
+    recorded = {
         "versions": {"commit": "abcdef0123456789", "run.lock": "a", "other": "1", "python": "3.12", "numpy": "1",
                      "math": "a"},
         "code": {"softrig_core": "x", "mine": "y"},
         "contents": {"n": {"file": "a"}},
     }  # fmt: skip
-    here = {
+    current = {
         "versions": {"commit": "123456789abcdef0", "run.lock": "b", "other": "2", "python": "3.13", "numpy": "2",
                      "math": "b"},
         "code": {"softrig_core": "z", "mine": "z"},
         "contents": {"n": {"file": "b"}},
     }  # fmt: skip
-    messages, now = [], dict(here)
+    messages, now = [], dict(current)
     for key in (
         "all",
         "code.mine",
@@ -367,9 +367,9 @@ def test_the_most_likely_different_version_is_named_as_expected():
     ):
         part, _, name = key.partition(".")
         if key != "all":
-            now[part] = now[part] | {name: there[part][name]} if name else there[part]
-        messages.append(f"{key} the same: {like.first_version(there, now)}")
-    messages.append(f"no commit: {like.first_version(there, here | {'versions': {}})}")
+            now[part] = now[part] | {name: recorded[part][name]} if name else recorded[part]
+        messages.append(f"{key} the same: {like.first_version(recorded, now)}")
+    messages.append(f"no commit: {like.first_version(recorded, current | {'versions': {}})}")
     messages.append(f"not there: {like.first_version({'versions': {'numpy': '1'}}, {'versions': {}})}")
     check_expected("folders/versions", messages)
 

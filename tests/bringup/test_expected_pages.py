@@ -72,7 +72,7 @@ def test_a_measured_value_is_rounded_to_a_hundredth_of_its_tolerance(value, tole
 
 
 @pytest.mark.parametrize(
-    ("error", "message", "here"),
+    ("error", "message", "text"),
     [
         ("never", "never", True),
         ("never <settles>", "never", True),
@@ -83,9 +83,9 @@ def test_a_measured_value_is_rounded_to_a_hundredth_of_its_tolerance(value, tole
         ("", "not measured", False),
     ],
 )
-def test_the_text_in_place_of_a_missing_value_is_as_expected(error, message, here):
+def test_the_text_in_place_of_a_missing_value_is_as_expected(error, message, text):
     none = result(value=None, passed=False, error=error)
-    assert (in_words(none), measured(none), measured_here(none)) == (message, message, here)
+    assert (in_words(none), measured(none), measured_here(none)) == (message, message, text)
     assert (in_words(result(error=error)), measured_here(result(error=error))) == ("", True)
 
 
@@ -493,7 +493,7 @@ def test_claims_are_counted_once_and_by_system():
     assert counts(rows) == "3 claims in 4 rows: 2 reproduced, 1 not checkable; 1 verdicts are not borne out"
     scenarios = [SimpleNamespace(name=n, system=n[0]) for n in ("b_1", "b_2", "a_1")]
     results = [
-        (system, [s.name for s in mine], [r.key for r in group]) for system, mine, group in by_system(scenarios, rows)
+        (system, [s.name for s in named], [r.key for r in group]) for system, named, group in by_system(scenarios, rows)
     ]
     assert results == [("a", ["a_1"], ["y"]), ("b", ["b_1", "b_2"], ["x", "x", "z"])]
     assert math.isnan(result().number)

@@ -372,7 +372,7 @@ def test_an_operating_point_is_printed_with_what_drifts(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("there", "line"),
+    ("recorded", "line"),
     [
         ({}, "the same functions and packages"),
         ({"python": "3.11.1"}, "the same functions and packages"),  # a rig with shipped blocks only
@@ -381,12 +381,12 @@ def test_an_operating_point_is_printed_with_what_drifts(monkeypatch, capsys):
         ({"machine": "0", "math": "0"}, "another architecture"),
     ],
 )
-def test_what_affects_the_bits_decides_how_a_golden_bag_is_compared(monkeypatch, there, line):
+def test_what_affects_the_bits_decides_how_a_golden_bag_is_compared(monkeypatch, recorded, line):
     now = {"machine": "x", "math": "a", "numpy": "1", "python": "3.13.0"}
     monkeypatch.setattr(golden, "versions", lambda: now)
-    recipe = golden.Recipe(scenario="dc_motor_smc_b2", duration=0.1, made_with=now | there)
+    recipe = golden.Recipe(scenario="dc_motor_smc_b2", duration=0.1, made_with=now | recorded)
     result = golden.Golden(Path("x"), recipe, rig_of("dc_motor_smc_b2"))
-    changed = {k: (v, now[k]) for k, v in there.items() if k != "python"}
+    changed = {k: (v, now[k]) for k, v in recorded.items() if k != "python"}
     assert result.others == changed
     assert result.made_here == (not changed)
     text = ", ".join(f"{k} {a} there, {b} here" for k, (a, b) in result.others.items())
@@ -942,11 +942,11 @@ def test_words_become_scenarios_settings_nodes_packages_and_executables(lag, mon
     assert "lag" in completion._scenarios()
     scenario = {"title": "t", "system": "s", "source": "n", "extends": "lag", "shared": {"v": 1.0}}
     (lag / "more.yaml").write_text(json.dumps(scenario))
-    for given in ({"scenario": "more"}, {"study": "more", "scenario": ""}, {"what": "more"}):
-        result = completion._settings(of(**given))
+    for arguments in ({"scenario": "more"}, {"study": "more", "scenario": ""}, {"what": "more"}):
+        result = completion._settings(of(**arguments))
         assert result[0] == "v="
         assert {"gain.k=", "plant.period=", "gain.noise="} <= {*result}
-        assert list(completion._nodes(of(**given))) == ["plant", "source", "gain"]
+        assert list(completion._nodes(of(**arguments))) == ["plant", "source", "gain"]
     assert completion._settings(of(scenario="none")) == []
     for prefix, package, manifest in (
         (lag / "a", "rig", "softrig_core"),
@@ -1340,7 +1340,9 @@ def test_only_claims_of_the_requested_systems_are_judged(lag, monkeypatch, capsy
 
     monkeypatch.setattr(results, "run_study", run_study)
     monkeypatch.setattr(
-        results, "ResultsFolder", lambda path, ours: SimpleNamespace(clear=lambda: cleared.append((path, ours)))
+        results,
+        "ResultsFolder",
+        lambda path, own_files: SimpleNamespace(clear=lambda: cleared.append((path, own_files))),
     )
     monkeypatch.setattr(results, "without_signals", list)
     monkeypatch.setattr(results, "results", lambda study, done, units: (study.name, done))

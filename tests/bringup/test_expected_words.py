@@ -262,8 +262,8 @@ def test_a_run_is_named_changed_and_repeated_as_expected(monkeypatch):
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
     messages = []
     for text in SAID:
-        given = [w.replace("~", " ") for w in text.replace("[1, 2]", "[1,~2]").split()]
-        options = parser().parse_args(["run", *given])
+        command = [w.replace("~", " ") for w in text.replace("[1, 2]", "[1,~2]").split()]
+        options = parser().parse_args(["run", *command])
         messages.append(f"run {text}")
         messages.append(f"  changed: {run_options.changed_words(options)}")
         messages.append(f"  folder: {run_options.folder_name('x', options)}")
@@ -315,13 +315,13 @@ def test_a_command_of_a_later_version_does_not_end_the_process(monkeypatch):
 
 
 def test_a_launch_passes_the_same_arguments_as_a_run():
-    given = {name: default or "" for name, (default, _, _) in launched.ARGUMENTS.items()} | {"scenario": "x"}
-    plain = launched._options(given)
+    arguments = {name: default or "" for name, (default, _, _) in launched.ARGUMENTS.items()} | {"scenario": "x"}
+    plain = launched._options(arguments)
     assert (plain.scenario, plain.mode, plain.realtime, plain.record_all) == ("x", "processes", True, False)
     assert (plain.duration, plain.seed, plain.params_file, plain.out, plain.external) == (None, None, None, None, [])
     more = {"mode": "lockstep", "place": "container", "duration": "1.5", "seed": "3", "params_file": "p", "out": "o",
             "external": "a b", "record": "all"}  # fmt: skip
-    other = launched._options(given | more)
+    other = launched._options(arguments | more)
     assert (other.mode, other.realtime, other.record_all, other.duration, other.seed) == (
         "container",
         False,
@@ -331,7 +331,7 @@ def test_a_launch_passes_the_same_arguments_as_a_run():
     )
     assert (other.params_file, other.out, other.external) == (Path("p"), Path("o"), ["a", "b"])
     with pytest.raises(ScenarioError, match=r"argument --seed: expected a whole number from 0 to 9.22337e.18, got 'x'"):
-        launched._options(given | {"seed": "x"})
+        launched._options(arguments | {"seed": "x"})
 
 
 def test_the_start_of_a_branch_is_written_as_the_command_of_the_first_run():

@@ -115,7 +115,7 @@ def test_ranges_are_met_at_both_ends_and_in_between():
 
 
 @pytest.mark.parametrize(
-    ("key", "given", "reason"),
+    ("key", "text", "reason"),
     [
         ("plant.R", "3..1", "3 is above 1"),
         ("plant.R", "log -1..1", "a logarithm needs a range above 0"),
@@ -132,9 +132,9 @@ def test_ranges_are_met_at_both_ends_and_in_between():
         ("motor/stat/shaft/velocity", "0..1*3", "did you mean 'motor/state/shaft/velocity'"),
     ],
 )
-def test_an_impossible_range_is_refused_before_the_first_run(key, given, reason):
+def test_an_impossible_range_is_refused_before_the_first_run(key, text, reason):
     with pytest.raises(ScenarioError, match=reason):
-        space_of(loop([0.0]), [parse(key, given)])
+        space_of(loop([0.0]), [parse(key, text)])
 
 
 def test_a_violation_is_reduced_parameter_by_parameter_fault_by_fault_step_by_step():
@@ -268,9 +268,9 @@ def outcome(folder):
 
 
 def test_a_violation_is_a_scenario_file_that_repeats_with_the_same_bits(file, tmp_path, capsys):
-    given = ["falsify", str(file), "--strict", "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12",
+    command = ["falsify", str(file), "--strict", "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12",
              "--workers", "1", "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
-    assert main([*given, "--out", str(tmp_path / "a")]) == 1
+    assert main([*command, "--out", str(tmp_path / "a")]) == 1
     printed = " ".join(capsys.readouterr().out.split())
     result = outcome(tmp_path / "a")
     assert result["violated"] == ["tracking"]
@@ -285,9 +285,9 @@ def test_a_violation_is_a_scenario_file_that_repeats_with_the_same_bits(file, tm
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     rows = (tmp_path / "b" / "rows.jsonl").read_text().splitlines(keepends=True)
     (tmp_path / "b" / "rows.jsonl").write_text("".join(rows[:5]))  # killed after five runs
-    assert main([*given, "--out", str(tmp_path / "b")]) == 1
+    assert main([*command, "--out", str(tmp_path / "b")]) == 1
     assert outcome(tmp_path / "b")["trace"] == result["trace"]
-    other = [*given, "--seed", "7", "--out", str(tmp_path / "b")]
+    other = [*command, "--seed", "7", "--out", str(tmp_path / "b")]
     assert main(other) == 2
     assert "holds another falsification" in capsys.readouterr().err
 
@@ -302,8 +302,8 @@ def test_a_violation_is_a_scenario_file_that_repeats_with_the_same_bits(file, tm
 def test_a_rig_that_does_not_repeat_is_not_searched(file, words, tmp_path, capsys, monkeypatch):
     update = DcMotorSmc.update
 
-    def moody(*given, **more):
-        x, values = update(*given, **more)
+    def moody(*arguments, **more):
+        x, values = update(*arguments, **more)
         return x, {name: (random.uniform(0.5, 1.0) * volts,) for name, (volts,) in values.items()}
 
     monkeypatch.setattr(DcMotorSmc, "update", moody)
@@ -377,22 +377,22 @@ FEW = ("--strict", "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "4", "--wo
 
 
 def test_a_package_that_a_range_needs_is_named_before_anything_is_written(file, tmp_path, capsys, monkeypatch):
-    given = ["falsify", str(file), *FEW]
+    command = ["falsify", str(file), *FEW]
     monkeypatch.setitem(sys.modules, "optuna", None)
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
-    assert main([*given, "--out", str(tmp_path / "a")]) == 2
+    assert main([*command, "--out", str(tmp_path / "a")]) == 2
     assert "falsify needs the package 'optuna'" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
     # random sampling needs no optimiser
-    assert main([*given, "--sampler", "random", "--out", str(tmp_path / "a")]) == 0
+    assert main([*command, "--sampler", "random", "--out", str(tmp_path / "a")]) == 0
 
 
 @pytest.mark.parametrize("wrong", ["figures: {peak: {arguments: {signal: motor/nowhere}}}", "cites: [nobody1999]"])
 def test_expectations_that_the_runs_do_not_measure_are_judged_before_the_first_one(wrong, file, tmp_path, capsys):
     """A trial measures only its requirements: other errors would be found only after the search."""
     file.write_text(f"{FILE}{wrong}\n")
-    given = ["falsify", str(file), *FEW]
-    assert main([*given, "--out", str(tmp_path / "a")]) == 2
+    command = ["falsify", str(file), *FEW]
+    assert main([*command, "--out", str(tmp_path / "a")]) == 2
     assert re.search(r"no signal 'motor/nowhere'|nobody1999", capsys.readouterr().err)
     assert not (tmp_path / "a").exists()
 

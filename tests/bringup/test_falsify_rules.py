@@ -77,18 +77,22 @@ class Account:
         if point not in self.known:
             self.ask([point])
         while better:
-            better, here = False, point
+            better, best_point = False, point
             for i in range(self.size):
-                ends = [tuple(u if k == i else x for k, x in enumerate(here)) for u in (0.0, 1.0) if here[i] != u]
+                ends = [
+                    tuple(u if k == i else x for k, x in enumerate(best_point))
+                    for u in (0.0, 1.0)
+                    if best_point[i] != u
+                ]
                 new = [p for p in ends if p not in self.known]
                 if new and self.over():
                     return len(self.asked()) > before
                 self.ask(new)
                 for p in ends:
-                    now, then = self.known.get(p, math.nan), self.known.get(here, math.nan)
+                    now, then = self.known.get(p, math.nan), self.known.get(best_point, math.nan)
                     if now < then or (math.isnan(then) and not math.isnan(now)):
-                        here, better = p, True
-            point = here
+                        best_point, better = p, True
+            point = best_point
         return len(self.asked()) > before
 
     def cmaes(self):
@@ -211,7 +215,7 @@ def test_for_one_number_optunas_estimator_proposes_four_points_at_a_time():
 
 
 @pytest.mark.parametrize(
-    ("given", "values"),
+    ("text", "values"),
     [
         ("-1..3", {-0.5: -1.0, 0.0: -1.0, 0.25: 0.0, 0.5: 1.0, 1.0: 3.0, 1.5: 3.0}),
         ("log 0.01..100", {0.0: 0.01, 0.25: 0.1, 0.5: 1.0, 0.75: 10.0, 1.0: 100.0}),
@@ -219,8 +223,8 @@ def test_for_one_number_optunas_estimator_proposes_four_points_at_a_time():
         ("0.1..0.7", {0.0: 0.1, 1.0: 0.7}),
     ],
 )
-def test_a_number_of_the_unit_interval_maps_to_the_range_and_back(given, values):
-    over = parse("node.k", given)
+def test_a_number_of_the_unit_interval_maps_to_the_range_and_back(text, values):
+    over = parse("node.k", text)
     for u, value in values.items():
         assert over.value(u) == (value if u in (0.0, 1.0) else pytest.approx(value, rel=1e-12, abs=1e-12))
         if over.low < over.high:
@@ -375,7 +379,7 @@ def test_faults_are_removed_with_their_parameters_and_their_pictures():
     space = of(Over(0.0, 1.0, key="noise.value"), nominal=(0.1,), faults=faults, plots=plots)
     changes = {"noise.value": 0.7, "noise_2.value": 0.5}
     seen, (scenario, left) = tried(space, changes, lambda changes: "noise_2.value" in changes)
-    assert [(list(there), list(changed)) for there, changed in seen] == [
+    assert [(list(present), list(changed)) for present, changed in seen] == [
         (["noise_2", "late"], ["noise_2.value"]),
         (["late"], []),
         (["noise_2"], ["noise_2.value"]),

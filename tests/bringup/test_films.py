@@ -107,13 +107,13 @@ def test_a_comfortable_film_takes_from_three_to_eight_seconds_at_the_least_round
 # SVG -------------------------------------------------------------------------------------------------------------
 
 
-def told(root, depth=0):
+def svg_lines(root, depth=0):
     """Elements of an SVG, one line each, without its style."""
     for tag in root:
         if (name := tag.tag.rpartition("}")[2]) != "style":
             words = [name, *(f"{k}={v}" for k, v in tag.attrib.items()), *([repr(tag.text)] if tag.text else [])]
             yield "  " * depth + " ".join(words)
-            yield from told(tag, depth + 1)
+            yield from svg_lines(tag, depth + 1)
 
 
 def moving(frames, title="Made <by> hand"):
@@ -148,7 +148,7 @@ def test_a_film_as_svg_is_as_expected():
     ]
     root = moving([list(frame) for frame in zip(*every, strict=True)])
     head = [f"svg {' '.join(f'{k}={v}' for k, v in root.attrib.items())}"]
-    check_expected("film", [*head, *told(root)])
+    check_expected("film", [*head, *svg_lines(root)])
 
 
 def test_without_a_text_that_changes_there_is_no_window():

@@ -63,8 +63,8 @@ class User:
         self.folder.mkdir()
         home = folder / "home"
         home.mkdir()
-        ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_", "XDG_")
-        keep = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+        prefixes = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_", "XDG_")
+        keep = {k: v for k, v in os.environ.items() if not k.startswith(prefixes)}
         self.environment = keep | {"COLUMNS": "60", "HOME": str(home)}
         # a checkout with a space in its path keeps its set-up in the cache of the user who made it
         if " " in str(SOFTRIG):

@@ -48,8 +48,10 @@ def test_all_output_is_the_same_under_any_hash_seed(tmp_path):
         environment = {**os.environ, "PYTHONHASHSEED": seed}
         subprocess.run([sys.executable, "-c", SCRIPT], cwd=folder, env=environment, check=True, timeout=300)
         files = {str(p.relative_to(folder)): p for p in sorted(folder.rglob("*")) if p.is_file()}
-        here = str(folder).encode()
-        written.append({name: re.sub(CLOCK, b"", path.read_bytes().replace(here, b"")) for name, path in files.items()})
+        folder_bytes = str(folder).encode()
+        written.append(
+            {name: re.sub(CLOCK, b"", path.read_bytes().replace(folder_bytes, b"")) for name, path in files.items()}
+        )
     assert len(written[0]) > 20
     for other in written[1:]:
         assert other.keys() == written[0].keys()

@@ -168,12 +168,12 @@ def test_the_command_of_the_line_makes_what_is_missing(monkeypatch, tmp_path):
 
 
 def test_recordings_of_nodes_are_named_if_their_run_was_not_written(monkeypatch, capsys, tmp_path):
-    def gone(rig, placement, log, listener):
+    def end_run(rig, placement, log, listener):
         log.mkdir()
         (log / "plant.shard").write_bytes(b"")
         signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr(f"{VERB}.execute", gone)
+    monkeypatch.setattr(f"{VERB}.execute", end_run)
     assert in_a_run() == 143
     assert "`softrig bag repair r/log` makes a bag" in capsys.readouterr().err
 

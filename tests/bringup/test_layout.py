@@ -63,13 +63,13 @@ def test_the_layout_has_every_package_and_starts_its_nodes(tmp_path):
 @pytest.mark.long
 def test_the_layout_is_what_colcon_builds(tmp_path):
     layout.lay_out(tmp_path / "ours")
-    ours = tmp_path / "ours" / layout.library()
-    theirs = tmp_path / "theirs"
+    own_folder = tmp_path / "ours" / layout.library()
+    foreign = tmp_path / "theirs"
     command = ["colcon", "--log-base", tmp_path / "log", "build", "--base-paths", ROOT / "ros_pkgs", "--build-base",
-               tmp_path / "build", "--install-base", theirs, "--merge-install", "--symlink-install"]  # fmt: skip
+               tmp_path / "build", "--install-base", foreign, "--merge-install", "--symlink-install"]  # fmt: skip
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
-    assert visible(tmp_path / "ours") == visible(theirs)
-    assert entry_points(ours) == entry_points(*tmp_path.glob("build/*"))
+    assert visible(tmp_path / "ours") == visible(foreign)
+    assert entry_points(own_folder) == entry_points(*tmp_path.glob("build/*"))
 
 
 @pytest.mark.long
@@ -91,11 +91,11 @@ def test_colcon_test_runs_the_own_tests_of_each_package(tmp_path):
 @pytest.mark.long
 def test_a_set_up_without_a_network_works(tmp_path):
     """What `fetch` has downloaded is all that a set-up needs, by uv, verified."""
-    there = tmp_path / "there"
+    present = tmp_path / "there"
     for name in ("scripts", "ros_pkgs", "config"):
-        shutil.copytree(ROOT / name, there / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
-    ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "LD_", "_ROS_")
-    user = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+        shutil.copytree(ROOT / name, present / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    own_folder = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "LD_", "_ROS_")
+    user = {k: v for k, v in os.environ.items() if not k.startswith(own_folder)}
     user |= {"HOME": str(tmp_path), "PATH": f"{sys.base_prefix}/bin:/usr/bin:/bin"}
     subprocess.run(
         [ROOT / "scripts" / "softrig", "setup", "--fetch", tmp_path / "wheels", "tables"], check=True, env=user
@@ -104,12 +104,12 @@ def test_a_set_up_without_a_network_works(tmp_path):
     cut_off = user | {k: v for name in nowhere for k, v in ((name, nowhere[name]), (name.lower(), nowhere[name]))}
 
     def softrig(*arguments, **variables):
-        return subprocess.run([there / "scripts" / "softrig", *arguments], cwd=tmp_path, env=cut_off | variables,
+        return subprocess.run([present / "scripts" / "softrig", *arguments], cwd=tmp_path, env=cut_off | variables,
                               capture_output=True, text=True, stdin=subprocess.DEVNULL)  # fmt: skip
 
     done = softrig("run", "dc_motor_smc_b2", "--mode", "inprocess", SOFTRIG_WHEELS=str(tmp_path / "wheels"))
     assert done.returncode == 0, done.stderr
-    assert "uv could not" not in (there / ".ws" / "setup.log").read_text()
+    assert "uv could not" not in (present / ".ws" / "setup.log").read_text()
     assert softrig("setup", "tables", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 0
     assert softrig("setup", "search", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 2  # not fetched
     assert softrig("python", "-c", "import pyarrow").returncode == 0
@@ -175,8 +175,8 @@ print(*{d.replace("_", "-").lower() for name, d in found.items() if name not in 
 
 def test_every_folder_of_tests_is_run():
     """They are listed one by one, for their order."""
-    there = {str(file.parent.relative_to(ROOT)) for file in (ROOT / "tests").rglob("test_*.py")}
-    assert sorted(PROJECT["tool"]["pytest"]["ini_options"]["testpaths"]) == sorted(there)
+    present = {str(file.parent.relative_to(ROOT)) for file in (ROOT / "tests").rglob("test_*.py")}
+    assert sorted(PROJECT["tool"]["pytest"]["ini_options"]["testpaths"]) == sorted(present)
 
 
 def test_an_independent_implementation_names_its_source():

@@ -49,7 +49,7 @@ def space(tmp_path, monkeypatch):
 CHANGES = {"gain.k": 3.0000000000001, "profile_1.points": [0.1234567, -1.0, 1.0]}
 
 
-def found(space, *, least=-0.25, corners=-0.125, small=True, case=True, broken=()):
+def match_of(space, *, least=-0.25, corners=-0.125, small=True, case=True, broken=()):
     violated = least < 0.0
     scenario = space.scenario
     less = scenario.having(faults={n: f.model_dump() for n, f in scenario.faults.items() if n != "noise"})
@@ -75,7 +75,7 @@ def task(**more):
     ],
 )
 def test_the_result_is_reported_in_one_line(space, keys, words):
-    assert verdict(found(space, **keys)) == words
+    assert verdict(match_of(space, **keys)) == words
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -90,8 +90,8 @@ def test_a_violation_is_reduced_and_a_case_that_just_holds_is_not(
     asked, point = [], (0.5, 0.0, 0.5, 1.0)
 
     class Rows:
-        def __init__(self, *given):
-            asked.append(given[2:])
+        def __init__(self, *arguments):
+            asked.append(arguments[2:])
 
         def __enter__(self):
             return self
@@ -111,7 +111,7 @@ def test_a_violation_is_reduced_and_a_case_that_just_holds_is_not(
         return SearchResult(min(measure([point, (1.0,) * 4])), point, 2)
 
     for name, what in {
-        "Batch": Rows, "Log": lambda *given: given, "search": searched, "trial": lambda *given, **more: given,
+        "Batch": Rows, "Log": lambda *words: words, "search": searched, "trial": lambda *words, **more: words,
         "run": lambda work: {"figures": {"small": 1.0}}, "_violates": lambda case, names: asked.append(names) or True,
         "shrink": lambda space, changes, violates, budget: (violates("case") and ("small", changes), budget),
         "is_suspect": lambda rig: False,
@@ -159,12 +159,12 @@ def test_the_outcome_is_printed_as_expected(space, name, capsys, monkeypatch):
         "none": {"case": False, "least": math.inf},
     }[name]
     files = {"worst": Path("out/demo_worst.yaml")} if name == "violated" else {}
-    outcome_module.print_outcome(task(), found(space, **keys), Path("out"), files)
+    outcome_module.print_outcome(task(), match_of(space, **keys), Path("out"), files)
     check_expected(f"falsified/{name}", [line.rstrip() for line in capsys.readouterr().out.splitlines()])
 
 
 def test_the_outcome_as_data_is_complete(space):
-    reported = content(task(seed=3, sampler="tpe"), found(space, broken=[({"gain.k": 1.0}, "gone")]))
+    reported = content(task(seed=3, sampler="tpe"), match_of(space, broken=[({"gain.k": 1.0}, "gone")]))
     assert reported == {
         "falsification": "demo", "scenario": "lag", "seed": 3, "sampler": "tpe", "over": {"gain.k": "1..4"},
         "requirements": ["low", "last"], "runs": 7, "least": -0.25, "least_at_corners": -0.125, "violated": ["low"],
@@ -173,7 +173,7 @@ def test_the_outcome_as_data_is_complete(space):
         "broken": [{"changes": {"gain.k": 1.0}, "error": "gone"}], "trace": [1.0, -0.25],
         "not_judged": [], "published_for": "",
     }  # fmt: skip
-    nothing = content(task(), found(space, case=False, least=math.inf))
+    nothing = content(task(), match_of(space, case=False, least=math.inf))
     assert (nothing["changes"], nothing["small_changes"], nothing["worst"], nothing["small"]) == ({}, {}, {}, {})
 
 
@@ -181,7 +181,7 @@ def test_a_case_is_a_scenario_file_that_lists_its_changes(space, tmp_path):
     """A case of a scenario by name extends it: parameters of nodes, faults with their own, and which of them are
     removed.
     """
-    outcome = found(space)
+    outcome = match_of(space)
     text = scenario_file(task(seed=3), "worst", outcome.case, outcome)
     assert text.startswith("# Found by: softrig falsify demo; 2 runs, seed 3.\nextends: lag\n")
     worst, small = (yaml.safe_load(scenario_file(task(), kind, case, outcome)) for kind, case in (
@@ -204,14 +204,14 @@ def test_a_case_is_a_scenario_file_that_lists_its_changes(space, tmp_path):
         loaded = _standing_alone(scenario_file(task(), kind, case, outcome), tmp_path / "x.yaml")
         wanted = case[0].changed(overrides=case[1])
         assert (loaded.nodes, loaded.faults, loaded.requirements) == (wanted.nodes, wanted.faults, wanted.requirements)
-    held = found(space, least=0.5)
+    held = match_of(space, least=0.5)
     assert yaml.safe_load(scenario_file(task(), "worst", held.case, held))["title"] == (
         "Lag: least margin, worst case found"
     )
 
 
 def test_a_case_of_a_file_is_written_completely(space, tmp_path):
-    outcome = found(space)
+    outcome = match_of(space)
     whole = task().model_copy(update={"scenario": str(tmp_path / "gone.yaml")})
     text = scenario_file(whole, "worst", outcome.case, outcome)
     reported = yaml.safe_load(text)
@@ -227,22 +227,22 @@ def test_a_case_of_a_file_is_written_completely(space, tmp_path):
 def test_the_requirements_of_a_scenario_that_can_be_searched_are_as_expected():
     nodes = {"plant": "plant", "source": "source", "gain": "gain"}
     figures = {n: {"function": "final_value", "arguments": {"signal": X}} for n in ("most", "least", "both", "none")}
-    given = make_scenario(
+    judged = make_scenario(
         nodes, figures=figures, expect={"most": "at most 1", "least": "at least 0", "both": "0.5 +- 0.1"},
         shared={"state": X}, requirements={"low": "always state <= 0.3", "high": "always state <= 3"},
     )  # fmt: skip
     bare = make_scenario(nodes, figures=figures, expect={"most": "at most 1"})
-    assert _requirements(given, []) == ("low", "high")
-    assert _requirements(given, ["high", "most", "least"]) == ("high", "most", "least")
+    assert _requirements(judged, []) == ("low", "high")
+    assert _requirements(judged, ["high", "most", "least"]) == ("high", "most", "least")
     assert _requirements(bare, ["most"]) == ("most",)
     unbound = "no bound that a run could violate; it needs an entry expect: "
     for scenario, wanted, text in (
         (bare, [], "test has no requirements; it needs an entry requirements: NAME: FORMULA, or --requirement FIGURE "
                    "of which a bound is expected"),
-        (given, ["both"], f"test: figure both has an expectation on both sides, {unbound}both: at most NUMBER "
+        (judged, ["both"], f"test: figure both has an expectation on both sides, {unbound}both: at most NUMBER "
                           "(or at least NUMBER)"),
-        (given, ["none"], f"test: figure none has no expectation, {unbound}none: at most NUMBER (or at least NUMBER)"),
-        (given, ["lo"], "test has no requirement 'lo' (did you mean 'low'?); it has low, high, most, least"),
+        (judged, ["none"], f"test: figure none has no expectation, {unbound}none: at most NUMBER (or at least NUMBER)"),
+        (judged, ["lo"], "test has no requirement 'lo' (did you mean 'low'?); it has low, high, most, least"),
         (make_scenario(nodes), ["lo"], "test has no requirement 'lo'; it has none"),
     ):  # fmt: skip
         with pytest.raises(ScenarioError) as refused:
@@ -257,12 +257,12 @@ def test_a_page_begins_with_question_and_answer_as_expected(name, keys, space):
     over = {"gain.k": "1..4", "lag/command/u/effort+": "-1..1*3"}
     task = Falsification(name="late", title="Late", scenario="lag", over=over, budget=9)
     files = {"worst": Path("out/late_worst.yaml")} if name == "violated" else {}
-    body = lead(task, found(space, **keys), {"low": "m", "last": "m"}, files)
+    body = lead(task, match_of(space, **keys), {"low": "m", "last": "m"}, files)
     check_expected(f"falsified/page_{name}", page_lines(make_page("Late", body)))
 
 
 def test_the_history_of_a_search_is_the_least_margin_so_far(space):
-    (ax,) = history(found(space)).axes
+    (ax,) = history(match_of(space)).axes
     (margins,) = ax.lines
     (violated,) = (item for item in ax.items if type(item).__name__ == "Rule")
     assert (margins.x.tolist(), margins.y.tolist()) == ([1.0, 2.0], [1.0, -0.25])

@@ -41,12 +41,12 @@ def _elsewhere(tmp_path, monkeypatch):
 
 
 def pack(run, out, *options):
-    mine = run.parent / "mine.yaml"
-    shutil.copy(run.parent / "away.yaml", mine)
+    own_file = run.parent / "mine.yaml"
+    shutil.copy(run.parent / "away.yaml", own_file)
     try:
         assert main(["pack", str(run), "--out", str(out), *options]) == 0
     finally:
-        mine.unlink()
+        own_file.unlink()
     return out
 
 
@@ -86,12 +86,12 @@ def test_the_last_line_says_which_version_differs_first(run, tmp_path, capsys):
 
 
 def test_versions_are_reported_by_their_likely_effect():
-    there = {"versions": {"numpy": "1", "math": "a", "python": "3"}, "code": {"softrig_core": "x", "mine": "y"}}
-    here = {"versions": {"numpy": "2", "math": "b", "python": "3"}, "code": {"softrig_core": "z", "mine": "z"}}
-    assert "the code of mine: y there, z here" in first_version(there, here)
-    assert "math: a there, b here" in first_version(there, here | {"code": there["code"]})
-    assert first_version(there, there) == "no version differs"
-    assert first_version({}, here) == "its versions are not known"
+    second = {"versions": {"numpy": "1", "math": "a", "python": "3"}, "code": {"softrig_core": "x", "mine": "y"}}
+    first = {"versions": {"numpy": "2", "math": "b", "python": "3"}, "code": {"softrig_core": "z", "mine": "z"}}
+    assert "the code of mine: y there, z here" in first_version(second, first)
+    assert "math: a there, b here" in first_version(second, first | {"code": second["code"]})
+    assert first_version(second, second) == "no version differs"
+    assert first_version({}, first) == "its versions are not known"
 
 
 def test_a_single_mcap_file_is_a_run(run, tmp_path, capsys):
@@ -116,73 +116,73 @@ def test_a_pack_is_viewed_as_its_run_is(run, tmp_path):
 
 
 def test_a_run_whose_scenario_has_changed_since_is_not_packed(run, tmp_path, capsys):
-    mine = run.parent / "mine.yaml"
-    mine.write_text((run.parent / "away.yaml").read_text() + "nodes: {dc_motor_smc: {parameters: {c: 4.5}}}\n")
+    own_file = run.parent / "mine.yaml"
+    own_file.write_text((run.parent / "away.yaml").read_text() + "nodes: {dc_motor_smc: {parameters: {c: 4.5}}}\n")
     try:
         assert main(["pack", str(run), "--out", str(tmp_path / "sent.zip")]) == 2
     finally:
-        mine.unlink()
+        own_file.unlink()
     assert "dc_motor_smc.c" in (printed := capsys.readouterr().err)
     assert "which is 4.5 by now: run it again" in printed
     assert not (tmp_path / "sent.zip").exists()
 
 
 def test_a_package_that_is_not_installed_is_named(run, tmp_path, capsys):
-    gone = shutil.copytree(run, tmp_path / "gone")
-    data = gone / "bag" / "metadata.yaml"
+    copy = shutil.copytree(run, tmp_path / "gone")
+    data = copy / "bag" / "metadata.yaml"
     data.write_text(data.read_text().replace('"softrig_drives":', '"pump_rig":'))
     for word in ("run", "pack"):
-        arguments = ["run", "--like", str(gone)] if word == "run" else ["pack", str(gone)]
+        arguments = ["run", "--like", str(copy)] if word == "run" else ["pack", str(copy)]
         assert main(arguments) == 2
         assert "it needs package pump_rig, not installed here; `softrig pack RUN`" in capsys.readouterr().err
 
 
 def test_files_that_a_scenario_names_are_packed_with_it(tmp_path):
     """A table of units beside the scenario; other files with its name are not packed, except COMTRADE's."""
-    here, there = tmp_path / "here", tmp_path / "there"
-    here.mkdir()
-    shutil.copy(TABLE, here / "units.csv")
+    first, second = tmp_path / "here", tmp_path / "there"
+    first.mkdir()
+    shutil.copy(TABLE, first / "units.csv")
     for name in ("units.dat", "units.key", "fault.CFG", "fault.DAT", "fault.pdf", "law.c", "law.h", "law.o"):
-        (here / name).write_text("x")
+        (first / name).write_text("x")
     for one, result in (("fault.CFG", ["fault.CFG", "fault.DAT"]), ("law.c", ["law.c", "law.h"])):
-        _, files = raw_alone({"shared": {"file": str(here / one)}})
+        _, files = raw_alone({"shared": {"file": str(first / one)}})
         assert sorted(Path(place).name for place in files) == result
-    (here / "mine.yaml").write_text("extends: economic_dispatch_wood\nshared: {table: units.csv}\n")
-    scenario = load_scenario(str(here / "mine.yaml"))
+    (first / "mine.yaml").write_text("extends: economic_dispatch_wood\nshared: {table: units.csv}\n")
+    scenario = load_scenario(str(first / "mine.yaml"))
     text, files = standing_alone(scenario)
-    assert str(here).encode() not in text
+    assert str(first).encode() not in text
     assert sorted(Path(place).name for place in files) == ["units.csv"]
     for place, content in {"mine.yaml": text, **{k: v.read_bytes() for k, v in files.items()}}.items():
-        (there / place).parent.mkdir(exist_ok=True, parents=True)
-        (there / place).write_bytes(content)
-    shutil.rmtree(here)
-    again = load_scenario(str(there / "mine.yaml"))
+        (second / place).parent.mkdir(exist_ok=True, parents=True)
+        (second / place).write_bytes(content)
+    shutil.rmtree(first)
+    again = load_scenario(str(second / "mine.yaml"))
     table = again.nodes["unit_fleet"].parameters["unit_table"]
     assert Path(table).read_bytes() == TABLE.read_bytes()
-    assert str(scenario.nodes).replace(str(here / "units.csv"), table) == str(again.nodes)
+    assert str(scenario.nodes).replace(str(first / "units.csv"), table) == str(again.nodes)
     assert again.expect == scenario.expect
 
 
 def test_firmware_and_the_board_description_are_packed_with_a_scenario(tmp_path):
     """A Cortex-M under qemu has the machine in a file beside the program."""
-    here, there = tmp_path / "here", tmp_path / "there"
-    (here / "fw").mkdir(parents=True)
+    first, second = tmp_path / "here", tmp_path / "there"
+    (first / "fw").mkdir(parents=True)
     for name in ("law.json", "law.elf", "law.c", "board.elf", "board.json"):
-        (here / "fw" / name).write_text(name)
+        (first / "fw" / name).write_text(name)
     nodes = "nodes: {dc_motor_smc: {link: {port: 'qemu:fw/%s', firmware: %s}}}\n"
     for program, firmware, wanted in (("law.elf", "fw/law.json", 2), ("board.elf", "fw/law.json", 3)):
-        (here / "mine.yaml").write_text("extends: dc_motor_smc_b2\n" + nodes % (program, firmware))
-        text, files = standing_alone(load_scenario(str(here / "mine.yaml")))
+        (first / "mine.yaml").write_text("extends: dc_motor_smc_b2\n" + nodes % (program, firmware))
+        text, files = standing_alone(load_scenario(str(first / "mine.yaml")))
         assert len(files) in (wanted, wanted + (program == "law.elf"))
-        shutil.rmtree(there, ignore_errors=True)
+        shutil.rmtree(second, ignore_errors=True)
         for place, content in {"mine.yaml": text, **{k: v.read_bytes() for k, v in files.items()}}.items():
-            (there / place).parent.mkdir(exist_ok=True, parents=True)
-            (there / place).write_bytes(content)
-        link = load_scenario(str(there / "mine.yaml")).nodes["dc_motor_smc"].link
+            (second / place).parent.mkdir(exist_ok=True, parents=True)
+            (second / place).write_bytes(content)
+        link = load_scenario(str(second / "mine.yaml")).nodes["dc_motor_smc"].link
         kind, _, elf = link.port.partition(":")
         assert (kind, Path(elf).read_text(), Path(link.firmware).read_text()) == ("qemu", program, "law.json")
         assert Path(elf).with_suffix(".json").read_text() == program.replace("elf", "json")
-        assert Path(elf).is_relative_to(there)
+        assert Path(elf).is_relative_to(second)
 
 
 @pytest.mark.parametrize("name", ["dc_motor_smc_faults", "induction_dtc", "pwa_delay_margin", "tcp_aqm_smc"])

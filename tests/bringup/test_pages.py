@@ -78,9 +78,9 @@ def test_pictures_are_plot_entries_drawn_from_a_run(tmp_path, undrawn):
 
 
 ANIMATIONS = {
-    found[0]: (p, float(found[1]), float(found[2]))
+    scenario[0]: (p, float(scenario[1]), float(scenario[2]))
     for p in PAGES
-    for found in pages.ANIMATION.findall((ROOT / p).read_text())
+    for scenario in pages.ANIMATION.findall((ROOT / p).read_text())
 }
 
 
@@ -163,7 +163,7 @@ def test_numbers_without_source_and_wrong_ones_are_reported(tmp_path):
     (tmp_path / "test_here.py").write_text(
         "def test_one():\n    assert 1153 == 2.5\n\n\ndef test_two():\n    assert 7.25\n\n\nTABLE = {1: 7250.0}\n"
     )
-    given = """# Motor
+    template = """# Motor
 It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s and 1.005e-4; 347 V; 3.927; 42.1.
 
     scripts/softrig run 99.999
@@ -183,33 +183,37 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
     ties = {"0.607": "dc_motor_smc.rise_time", "1,153": "test_here.py::test_one", "1.005e-4": "paper Table 1",
             "347": "1 * rectifier_mpc.v_min", "3.927": "= 5*pi/4", "42.1": "bench gupfc"}  # fmt: skip
 
-    def told(extra="", run=None, **changed):
+    def problems(extra="", run=None, **changed):
         lines = (f"{n}: {s}" for n, s in (ties | changed).items() if s)
-        return [f.removeprefix("Motor: ") for f in numbers.faults(given.format(extra, "\n".join(lines)), tmp_path, run)]
+        return [
+            f.removeprefix("Motor: ") for f in numbers.faults(template.format(extra, "\n".join(lines)), tmp_path, run)
+        ]
 
-    assert told() == []
-    assert told("1.23 s") == ["1.23 has no source"]
-    assert told("0.12 s of 1200") == []  # numbers with few digits need no source
-    assert told("\n```yaml\n# a.yaml\nx: 1.234\n```") == []  # a comment that begins in a code block ends with it
-    assert told(**{"0.607": ""}) == ["0.607 has no source"]  # a measured value still needs a source
-    assert told(**{"3.14": "= pi"}) == ["3.14 is not in this section"]
-    assert told("0.608", **{"0.608": "dc_motor_smc.rise_time"}) == ["0.608: the table has 0.60695"]
-    assert told("0.61", **{"0.61": "dc_motor_smc.rise_time"}) == []
-    assert told(run={"dc_motor_smc": {"rise_time": 0.6}, "rectifier_mpc": {"v_min": 347.4}}.get) == [
+    assert problems() == []
+    assert problems("1.23 s") == ["1.23 has no source"]
+    assert problems("0.12 s of 1200") == []  # numbers with few digits need no source
+    assert problems("\n```yaml\n# a.yaml\nx: 1.234\n```") == []  # a comment that begins in a code block ends with it
+    assert problems(**{"0.607": ""}) == ["0.607 has no source"]  # a measured value still needs a source
+    assert problems(**{"3.14": "= pi"}) == ["3.14 is not in this section"]
+    assert problems("0.608", **{"0.608": "dc_motor_smc.rise_time"}) == ["0.608: the table has 0.60695"]
+    assert problems("0.61", **{"0.61": "dc_motor_smc.rise_time"}) == []
+    assert problems(run={"dc_motor_smc": {"rise_time": 0.6}, "rectifier_mpc": {"v_min": 347.4}}.get) == [
         "0.607: a run gives 0.6"
     ]
-    assert "expects" in told("0.350", **{"0.350": "1e-3 * rectifier_mpc.v_min"})[0]
-    assert told("0.347", **{"0.347": "1e-3 * rectifier_mpc.v_min"}) == []
-    assert told(**{"0.607": "dc_motor_smc.rise"}) == ["0.607: dc_motor_smc has no figure rise"]
-    assert told(**{"0.607": "dc_motor.rise_time"}) == ["0.607: no scenario or study dc_motor"]
+    assert "expects" in problems("0.350", **{"0.350": "1e-3 * rectifier_mpc.v_min"})[0]
+    assert problems("0.347", **{"0.347": "1e-3 * rectifier_mpc.v_min"}) == []
+    assert problems(**{"0.607": "dc_motor_smc.rise"}) == ["0.607: dc_motor_smc has no figure rise"]
+    assert problems(**{"0.607": "dc_motor.rise_time"}) == ["0.607: no scenario or study dc_motor"]
     assert (
-        told("7.25", **{"7.25": "test_here.py::test_two"})
-        == told("7.25", **{"7.25": "1e-3 * test_here.py::TABLE"})
+        problems("7.25", **{"7.25": "test_here.py::test_two"})
+        == problems("7.25", **{"7.25": "1e-3 * test_here.py::TABLE"})
         == []
     )
     table = "<!-- measured: v_min of rectifier_mpc -->\n\n| `rectifier_mpc` | t | 346.2 V |\n<!-- end -->\n"
     lines = "\n".join(f"{n}: {s}" for n, s in ties.items())
-    assert list(numbers.faults(given.format("", lines), tmp_path, None, table)) == ["Motor: 347: the table has 346.2"]
+    assert list(numbers.faults(template.format("", lines), tmp_path, None, table)) == [
+        "Motor: 347: the table has 346.2"
+    ]
     for source in (
         "test_here.py::test_one",
         "test_none.py::test_two",
@@ -219,10 +223,10 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
         "paper",
         "somewhere",
     ):
-        assert told("7.25", **{"7.25": source})[0].startswith("7.25: "), source
-    assert told("9.87", rest="bench gupfc") == []
-    assert told("9.87", rest="paper Table 1") == ["'rest' is no number"]
-    assert told("0.0166667 and 1.5", **{"1.5": "scenario gupfc", "0.0166667": "= 1/60"}) == []
+        assert problems("7.25", **{"7.25": source})[0].startswith("7.25: "), source
+    assert problems("9.87", rest="bench gupfc") == []
+    assert problems("9.87", rest="paper Table 1") == ["'rest' is no number"]
+    assert problems("0.0166667 and 1.5", **{"1.5": "scenario gupfc", "0.0166667": "= 1/60"}) == []
 
 
 def test_the_page_of_names_has_exactly_all_nodes_and_commands():
@@ -283,9 +287,9 @@ def test_links_to_headings_of_a_page_are_valid(page):
     text = (ROOT / page).read_text()
     for target, anchor in re.findall(r"\]\(([^)\s#]*)#([^)\s]+)\)", text):
         if not target.startswith("http"):
-            there = (ROOT / page).parent.joinpath(target).read_text() if target else text
+            target_text = (ROOT / page).parent.joinpath(target).read_text() if target else text
             headings = [
-                re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)", there, re.M)
+                re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)", target_text, re.M)
             ]
             assert anchor in headings, anchor
 
@@ -326,7 +330,7 @@ def test_the_study_of_the_page_is_valid():
 def test_the_first_example_in_python_states_its_output():
     text = (ROOT / "README.md").read_text()
     code = next(c for c in re.findall(r"```python\n(.*?)```", text, re.S) if "simulate" in c)
-    said = re.search(r"# ([\d.]+)\.\.\.", code)[1]
+    stated = re.search(r"# ([\d.]+)\.\.\.", code)[1]
     printed = []
     exec(code, {"print": printed.append})
-    assert repr(printed[0]).startswith(said)
+    assert repr(printed[0]).startswith(stated)

@@ -33,7 +33,7 @@ def rcl(file, namespace):
     return result
 
 
-def ours(file, namespace):
+def softrig_values(file, namespace):
     try:
         return params_of(file, NODES, namespace)
     except ScenarioError as error:
@@ -67,7 +67,7 @@ def test_random_files_are_resolved_as_rcl_does(tmp_path, seed):
     generator = random.Random(seed)
     file.write_text(drawn(generator))
     namespace = generator.choice(SPACES)
-    assert ours(file, namespace) == rcl(file, namespace), file.read_text()
+    assert softrig_values(file, namespace) == rcl(file, namespace), file.read_text()
 
 
 WORDS = (
@@ -82,9 +82,11 @@ def test_words_become_the_values_that_rcl_makes_of_them(tmp_path):
     file.write_text(
         "law:\n  ros__parameters:\n" + "\n".join(lines) + "\n    w: |\n      1\n    e: []\n    l: [yes, no]\n"
     )
-    there, here = rcl(file, ""), ours(file, "")
-    assert [(k, type(v)) for k, v in here.items()] == [(k, type(v)) for k, v in there.items()]
-    assert all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(here.values(), there.values(), strict=True))
+    of_rcl, of_softrig = rcl(file, ""), softrig_values(file, "")
+    assert [(k, type(v)) for k, v in of_softrig.items()] == [(k, type(v)) for k, v in of_rcl.items()]
+    assert all(
+        a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(of_softrig.values(), of_rcl.values(), strict=True)
+    )
 
 
 @pytest.mark.parametrize(
@@ -138,7 +140,7 @@ def test_values_that_rcl_misreads_are_refused(tmp_path, text, used, reason):
 def test_a_value_that_no_node_accepts_is_skipped_if_it_is_for_another_node(tmp_path):
     file = tmp_path / "p.yaml"
     file.write_text("/right/law: {ros__parameters: {k: null, c: [null]}}\nleft/law: {ros__parameters: {k: 2}}")
-    assert ours(file, "left") == rcl(file, "left") == {"law.k": 2}
+    assert softrig_values(file, "left") == rcl(file, "left") == {"law.k": 2}
 
 
 def test_sections_of_other_nodes_are_skipped_and_reported(tmp_path, capfd):

@@ -71,7 +71,7 @@ def scenario(**keys):
 def drawn(monkeypatch, tmp_path):
     """Figures of a run's plots by title, as they were saved, without the overview."""
 
-    def draw(given, also=""):
+    def draw(scenario_of, also=""):
         result, save = {}, plots.save_figure
 
         def keep(figure, path, title, run, also):
@@ -79,8 +79,8 @@ def drawn(monkeypatch, tmp_path):
             result[title] = on_paper(figure)
 
         monkeypatch.setattr(plots, "save_figure", keep)
-        run = simulate(rig_of(given))
-        plot_run(run.signals, run.rig, tmp_path, also, len(given.plots))
+        run = simulate(rig_of(scenario_of))
+        plot_run(run.signals, run.rig, tmp_path, also, len(scenario_of.plots))
         return result
 
     return draw
@@ -116,25 +116,25 @@ def marked(**keys):
 
 
 @pytest.mark.parametrize(
-    ("name", "given"),
+    ("name", "make"),
     [
         ("marks", marked),
         ("short", lambda: load_scenario("induction_dtc").changed(duration=0.02)),
         ("angles", lambda: load_scenario("rehab_impedance").changed(duration=0.05)),
     ],
 )
-def test_pictures_of_runs_are_as_expected(name, given, drawn):
+def test_pictures_of_runs_are_as_expected(name, make, drawn):
     """What is drawn where and how, in each picture of a run and in its overview."""
-    check_expected(f"pictures/{name}", (line for figure in drawn(given()).values() for line in figure_lines(figure)))
+    check_expected(f"pictures/{name}", (line for figure in drawn(make()).values() for line in figure_lines(figure)))
 
 
 def test_a_picture_for_print_is_as_expected():
     """Width, letters and no title as requested; a figure that was not published is reported."""
-    given = marked()
-    run = simulate(rig_of(given))
-    figures = [plot_entry(run.signals, run.rig, given.plots[0], inches=3.5, font=7.0, title=False)]
+    marked_scenario = marked()
+    run = simulate(rig_of(marked_scenario))
+    figures = [plot_entry(run.signals, run.rig, marked_scenario.plots[0], inches=3.5, font=7.0, title=False)]
     run.recording.topics["lag/command"] = run.recording.topics["lag/command"].before(0)
-    figures.append(plot_entry(Signals(run.recording), run.rig, given.plots[0]))
+    figures.append(plot_entry(Signals(run.recording), run.rig, marked_scenario.plots[0]))
     check_expected("pictures/print", (line for figure in figures for line in figure_lines(figure)))
 
 
@@ -190,10 +190,10 @@ def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
 
 @pytest.mark.parametrize("final", [{"final": 0.75}, {}])
 def test_a_rise_is_marked_from_where_it_began(final):
-    given = scenario(
+    experiment = scenario(
         figures={"rise_time": {"arguments": {"signal": X} | final}}, expect={"rise_time": "0.5 +- 0.1"}, claims={}
     )
-    run = simulate(rig_of(given))
+    run = simulate(rig_of(experiment))
     (mark,) = marks_of(run.rig, run.signals)[X]
     t, x = run.signals[X]
     began = t[np.argmax(x >= 0.1 * final.get("final", x[-1]))]
@@ -247,11 +247,11 @@ def test_no_panel_is_empty(count):
 
 
 def test_a_plot_of_a_replaced_node_explains_how_to_add_plots():
-    given = scenario(
+    experiment = scenario(
         plots=[{"title": "Gone", "signals": {"lag/status/x/position": ""}}], figures={}, expect={}, claims={}
     )
     with pytest.raises(ScenarioError, match=r"did you mean 'lag/state/x/position'.*`plots: \[\]` leaves the overview"):
-        check_plots(rig_of(given))
+        check_plots(rig_of(experiment))
 
 
 # block diagram ----------------------------------------------------------------------------------------------------
@@ -338,8 +338,8 @@ def test_the_diagram_has_every_node_and_wire_of_a_system(name):
 
 
 def test_nodes_outside_are_marked():
-    given = make_scenario({"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}})
-    drawing = draw_diagram(wiring_of(rig_of(given)))
+    experiment = make_scenario({"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}})
+    drawing = draw_diagram(wiring_of(rig_of(experiment)))
     styles = {g.get("data-node"): g.get("class") for g in drawing.iter("g") if g.get("data-node")}
     assert styles == {"plant": "node plant", "source": "node", "gain": "node outside"}
     assert b"outside" in tostring(drawing)
@@ -406,7 +406,7 @@ def run_of(**keys):
 
 
 @pytest.mark.parametrize(
-    ("folders", "labels", "given", "result"),
+    ("folders", "labels", "labels_of_user", "result"),
     [
         (["runs/a", "runs/b"], ["", ""], [], ["a", "b"]),
         (["x/run", "y/run"], ["", ""], [], ["x/run", "y/run"]),
@@ -416,9 +416,9 @@ def run_of(**keys):
         (["a", "a"], ["", ""], [], ["a [1]", "a [2]"]),
     ],
 )
-def test_runs_are_named_by_folder_or_label(folders, labels, given, result):
+def test_runs_are_named_by_folder_or_label(folders, labels, labels_of_user, result):
     runs = [(Path(f), run_of(label=text)) for f, text in zip(folders, labels, strict=True)]
-    assert names(runs, given) == result
+    assert names(runs, labels_of_user) == result
 
 
 @pytest.mark.parametrize(

@@ -96,8 +96,8 @@ def test_the_condenser_agrees_with_an_independent_block_diagram(bench):
 
     x, ends = np.array([90, 80, 107.8880952381, 90] + [0.0] * 6), sorted([*(1.75 * np.arange(21)), 2.0])
     for a, b in pairwise(ends):
-        given = (steam[int(a / 1.75 + 1e-9)], 87 if a >= 2 else 90)
-        x = solve_ivp(slopes, (a, b), x, args=given, rtol=1e-10, atol=1e-10).y[:, -1]
+        inputs = (steam[int(a / 1.75 + 1e-9)], 87 if a >= 2 else 90)
+        x = solve_ivp(slopes, (a, b), x, args=inputs, rtol=1e-10, atol=1e-10).y[:, -1]
         assert s.condense(steam)[round(b / s.PERIOD)] == pytest.approx(x[3], abs=1e-5)
 
 

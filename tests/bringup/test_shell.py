@@ -23,8 +23,8 @@ def test_packages_that_would_replace_one_of_the_set_up_are_left_out(tmp_path, na
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "my_law.py").write_text("")
     code = "import numpy, os, sys; print(os.environ.get('LD_LIBRARY_PATH', '')); print(sys.path); import my_law"
-    ours = ("PYTHON", "VIRTUAL_ENV", "LD_", "AMENT_", "COLCON_", "_ROS_")
-    user = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+    prefixes = ("PYTHON", "VIRTUAL_ENV", "LD_", "AMENT_", "COLCON_", "_ROS_")
+    user = {k: v for k, v in os.environ.items() if not k.startswith(prefixes)}
     user |= {"PYTHONPATH": str(tmp_path / "mine"), "CONDA_PREFIX": "/conda", name: value.replace("{}", str(tmp_path))}
     if name == "PYTHONHOME":
         user["PYTHONPATH"] = str(tmp_path / "mine")
@@ -37,17 +37,17 @@ def test_packages_that_would_replace_one_of_the_set_up_are_left_out(tmp_path, na
 
 
 def test_a_python_with_the_wheels_of_ros_starts_once_and_other_programs_do_not_see_their_libraries():
-    ours = ("PYTHON", "VIRTUAL_ENV", "LD_", "AMENT_", "COLCON_", "_ROS_")
-    user = {k: v for k, v in os.environ.items() if not k.startswith(ours)} | {"LD_LIBRARY_PATH": "/mine"}
+    prefixes = ("PYTHON", "VIRTUAL_ENV", "LD_", "AMENT_", "COLCON_", "_ROS_")
+    user = {k: v for k, v in os.environ.items() if not k.startswith(prefixes)} | {"LD_LIBRARY_PATH": "/mine"}
 
     def path(*command):
         done = subprocess.run([SOFTRIG, *command], env=user, capture_output=True, text=True, check=True)
         return done.stdout.strip().split(":")
 
     code = "import os; print(os.environ['LD_LIBRARY_PATH'])"
-    *wheels, mine = path("python", "-S", "-c", code)  # -S: what the wheels do at a start is left out
-    assert mine == "/mine"
-    assert set(path("python", "-c", code)) == {*wheels, mine}
+    *wheels, own_path = path("python", "-S", "-c", code)  # -S: what the wheels do at a start is left out
+    assert own_path == "/mine"
+    assert set(path("python", "-c", code)) == {*wheels, own_path}
     assert path("env", "printenv", "LD_LIBRARY_PATH") == ["/mine"]
     wheels_are_used = "ros_rclpy" in "".join(wheels) or "ROS_DISTRO" in user
     assert wheels_are_used

@@ -278,8 +278,8 @@ def test_an_edit_while_a_study_runs_does_not_change_it(folder, monkeypatch):
         file.write_text(LAG.replace("duration: 0.5", "duration: 0.1\nseed: 5"))
 
     monkeypatch.setattr(Log, "add", edited)
-    there = rows_of(demo, folder / "there", workers=1)
-    assert [(r["seed"], r["figures"]) for r in there] == [(r["seed"], r["figures"]) for r in whole]
+    second_rows = rows_of(demo, folder / "there", workers=1)
+    assert [(r["seed"], r["figures"]) for r in second_rows] == [(r["seed"], r["figures"]) for r in whole]
 
 
 def test_a_log_without_rows_is_empty(folder):
@@ -288,7 +288,7 @@ def test_a_log_without_rows_is_empty(folder):
 
 def test_the_number_of_workers_does_not_matter_and_a_killed_one_loses_nothing(folder, monkeypatch):
     demo = study(grid={"gain.k": [0.5 + 0.05 * k for k in range(40)]}, duration=5.0)
-    here = rows_of(demo, folder / "here")
+    first_rows = rows_of(demo, folder / "here")
     killed, add = [], Log.add
 
     def kill(self, row):
@@ -299,10 +299,10 @@ def test_the_number_of_workers_does_not_matter_and_a_killed_one_loses_nothing(fo
         add(self, row)
 
     monkeypatch.setattr(Log, "add", kill)
-    there = rows_of(demo, folder / "there", workers=2)
+    second_rows = rows_of(demo, folder / "there", workers=2)
     killed[0].join(PATIENCE)
     assert killed[0].exitcode == -signal.SIGKILL
-    assert [(r["number"], r["figures"]) for r in there] == [(r["number"], r["figures"]) for r in here]
+    assert [(r["number"], r["figures"]) for r in second_rows] == [(r["number"], r["figures"]) for r in first_rows]
 
 
 def damaged(lines):
@@ -721,8 +721,8 @@ def test_an_unknown_name_or_option_is_one_line(capsys):
 
 
 def test_drawn_formats_are_those_of_the_page_and_no_option_swallows_the_name():
-    given = {"gain.k": "log 0.1..10", "plant.gain": "1..2*2", "plant.limit": "1,2:4"}
-    words = [part for name, text in given.items() for part in ("--draw", f"{name}={text}")]
+    ranges = {"gain.k": "log 0.1..10", "plant.gain": "1..2*2", "plant.limit": "1,2:4"}
+    words = [part for name, text in ranges.items() for part in ("--draw", f"{name}={text}")]
     options = make_parser().parse_args(["study", *words, "--grid", "source.value=1,2", "lag"])
     result = study_of(options)
     assert result.scenario == "lag"

@@ -41,7 +41,7 @@ U = [0.0, 0.125, 0.5, 0.75, 0.999]
 
 
 @pytest.mark.parametrize(
-    ("given", "values"),
+    ("distribution", "values"),
     [
         ({"uniform": [2.0, 4.0]}, [2.0, 2.25, 3.0, 3.5, 3.998]),
         ({"log_uniform": [0.01, 100.0]}, [10.0 ** (4.0 * u - 2.0) for u in U]),
@@ -51,8 +51,8 @@ U = [0.0, 0.125, 0.5, 0.75, 0.999]
         ({"choice": ["x", 7, [1, 2]]}, ["x", "x", 7, [1, 2], [1, 2]]),
     ],
 )
-def test_a_number_of_the_unit_interval_maps_to_a_value_of_the_distribution(given, values):
-    result = _values(Distribution.model_validate(given), np.array(U))
+def test_a_number_of_the_unit_interval_maps_to_a_value_of_the_distribution(distribution, values):
+    result = _values(Distribution.model_validate(distribution), np.array(U))
     assert result == (pytest.approx(values, rel=1e-12) if isinstance(values[0], float) else values)
     assert _values(Distribution.model_validate({"normal": [0.0, 1.0]}), np.array([1.0])) == pytest.approx(
         [-stats.norm.ppf(1e-12)], rel=1e-4
@@ -75,7 +75,7 @@ def test_points_use_their_numbers_in_the_order_of_their_parameters():
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("distribution", "text"),
     [
         ({}, "expected one of uniform, log_uniform, normal, integers, choice, got none"),
         ({"uniform": [0, 1], "choice": [1]}, "got uniform, choice"),
@@ -87,9 +87,9 @@ def test_points_use_their_numbers_in_the_order_of_their_parameters():
         ({"integers": [2, 1]}, "integers: expected a lower and an upper bound"),
     ],
 )
-def test_an_unknown_distribution_is_refused(given, text):
+def test_an_unknown_distribution_is_refused(distribution, text):
     with pytest.raises(ValueError, match=text):
-        Distribution.model_validate(given)
+        Distribution.model_validate(distribution)
     for fine in ({"uniform": [1, 1]}, {"integers": [2, 2]}, {"log_uniform": [1e-9, 1.0]}, {"normal": [5.0, 0.0]}):
         Distribution.model_validate(fine)
 
@@ -99,18 +99,18 @@ DRAFTS = {name: SimpleNamespace(filled=lambda seed=seed: SimpleNamespace(seed=se
 
 
 def test_runs_are_all_combinations_the_last_parameter_changes_fastest():
-    given = study(
+    definition = study(
         cases={"a": {"p": 1}, "b": {"scenario": "other", "g": 9}}, grid={"g": [1, 2], "h": [3, 4]},
         draws={"count": 2, "parameters": {"u": {"uniform": [0, 1]}}}, seeds=[4, 6],
     )  # fmt: skip
-    points = draw(given.draws)
+    points = draw(definition.draws)
     wanted = []
     for (case, scenario, own), (g, h), point, seed in itertools.product(
         (("a", "lag", {"p": 1}), ("b", "other", {"g": 9})), itertools.product((1, 2), (3, 4)), points, (4, 6)
     ):
         wanted.append(Case(len(wanted), scenario, case, own | {"g": g, "h": h} | point, seed))
-    assert list(cases(given, DRAFTS)) == wanted
-    assert count(given) == len(wanted) == 32
+    assert list(cases(definition, DRAFTS)) == wanted
+    assert count(definition) == len(wanted) == 32
     plain = study(cases={"a": {}, "b": {"scenario": "other"}})
     assert [(c.case, c.seed, c.overrides) for c in cases(plain, DRAFTS)] == [("a", 5, {}), ("b", 7, {})]
     assert (count(plain), count(study())) == (2, 1)
@@ -128,7 +128,7 @@ PARAMETERS = {"a.x": {"uniform": [0.0, 4.0]}, "a.l": {"log_uniform": [0.1, 10.0]
 @pytest.mark.parametrize("aim", ["minimise", "maximise"])
 def test_a_search_asks_and_tells_as_optuna_called_directly(sampler, aim):
     """Batches of three, two seeds each, with their mean; a missing figure counts as the worst."""
-    given = study(
+    definition = study(
         search={"figure": "f", "count": 14, "batch": 3, "seed": 2, "sampler": sampler, "aim": aim,
                 "parameters": PARAMETERS, "subject_to": {"g": "at most 2"}}, seeds=[4, 6], figures=["h"],
     )  # fmt: skip
@@ -144,7 +144,7 @@ def test_a_search_asks_and_tells_as_optuna_called_directly(sampler, aim):
         batches.append(len(works))
         return [row(figures=figures(w.case.overrides, w.case.seed)) for w in works]
 
-    engine._search(given, given.search, SimpleNamespace(rows=rows), DRAFTS)
+    engine._search(definition, definition.search, SimpleNamespace(rows=rows), DRAFTS)
     assert batches == [6, 6, 6, 6, 4]
     assert [(w.case.number, w.case.seed, w.figures, w.runs) for w in asked] == [
         (k, (4, 6)[k % 2], ("h", "f", "g"), 28) for k in range(28)
@@ -167,10 +167,10 @@ def test_a_search_asks_and_tells_as_optuna_called_directly(sampler, aim):
     assert [w.case.overrides for w in asked] == wanted
 
 
-@pytest.mark.parametrize("given", [{"normal": [0.0, 1.0]}, {"uniform": [[0.0], [1.0]]}])
-def test_a_search_varies_numbers_and_choices_only(given):
+@pytest.mark.parametrize("distribution", [{"normal": [0.0, 1.0]}, {"uniform": [[0.0], [1.0]]}])
+def test_a_search_varies_numbers_and_choices_only(distribution):
     with pytest.raises(ScenarioError, match=r"search: parameter a: expected uniform, log_uniform, integers or choice"):
-        engine._optuna("a", Distribution.model_validate(given))
+        engine._optuna("a", Distribution.model_validate(distribution))
 
 
 @pytest.mark.parametrize(
@@ -188,26 +188,26 @@ def test_the_distance_of_a_figure_beyond_its_limits_is_as_expected(value, limits
 
 def test_a_folder_of_other_content_is_refused_with_the_changes(tmp_path):
     file = tmp_path / "study.json"
-    here = {"grid": 1, "scenarios": {"a": 1, "b": 2}, "code": {"p": "x"}, "files": {"n": 1}}
-    assert engine.same(here, file, "study") == json.dumps(here, indent=1) + "\n"
-    file.write_text(engine.same(here, file, "study"))
-    assert engine.same(here, file, "study")
+    current = {"grid": 1, "scenarios": {"a": 1, "b": 2}, "code": {"p": "x"}, "files": {"n": 1}}
+    assert engine.same(current, file, "study") == json.dumps(current, indent=1) + "\n"
+    file.write_text(engine.same(current, file, "study"))
+    assert engine.same(current, file, "study")
 
-    def why(there):
-        file.write_text(there if isinstance(there, str) else json.dumps(there))
+    def why(recorded):
+        file.write_text(recorded if isinstance(recorded, str) else json.dumps(recorded))
         with pytest.raises(engine.OtherContentError) as refused:
-            engine.same(here, file, "study")
+            engine.same(current, file, "study")
         head, tail = f"{tmp_path} holds another study", "; choose another --out, or remove it"
         assert str(refused.value).startswith(head)
         assert str(refused.value).endswith(tail)
         return str(refused.value)[len(head) : -len(tail)]
 
-    assert why(here | {"grid": 2}) == ""
-    assert why(here | {"scenarios": {"a": 1, "b": 3}}) == " (scenario b has changed)"
-    assert why(here | {"scenarios": {"c": 1, "b": 2}}) == " (scenario a, c has changed)"
-    assert why(here | {"code": {"p": "y"}}) == " (the code of p has changed)"
-    assert why(here | {"files": {}}) == " (a file of n has changed)"
-    assert why(here | {"scenarios": {}, "code": {}}) == " (scenario a, b has changed)"
+    assert why(current | {"grid": 2}) == ""
+    assert why(current | {"scenarios": {"a": 1, "b": 3}}) == " (scenario b has changed)"
+    assert why(current | {"scenarios": {"c": 1, "b": 2}}) == " (scenario a, c has changed)"
+    assert why(current | {"code": {"p": "y"}}) == " (the code of p has changed)"
+    assert why(current | {"files": {}}) == " (a file of n has changed)"
+    assert why(current | {"scenarios": {}, "code": {}}) == " (scenario a, b has changed)"
     assert why({"grid": 1}) == why("no json") == why("[1]") == ""
 
 
@@ -295,7 +295,7 @@ def test_a_run_leaves_its_figures_in_its_row(monkeypatch):
     t = np.array([0.0, 0.1, 0.3, 0.4])
     ran = done(results, missed=results[:1], signals={"s": (t, 10.0 * t), "none": (t[:0], t[:0])})
     asked = {}
-    monkeypatch.setattr(work, "simulate", lambda scenario, **given: asked.update(given, scenario=scenario) or ran)
+    monkeypatch.setattr(work, "simulate", lambda scenario, **keywords: asked.update(keywords, scenario=scenario) or ran)
     whole = work.run(work.Work(case(3, 2.0), 0.4, (), ("s", "none"), 5, 9))
     assert {k: whole[k] for k in ("number", "figures", "never", "missed", "passed", "error", "signals")} == {
         "number": 3, "figures": {"a": 1.5, "b": None, "c": None, "d": None}, "never": ["b"],
@@ -391,8 +391,10 @@ def test_each_statistic_is_computed_as_named():
     def value(rows=rows, **keys):
         return table.summarise(rows, study(summaries={"s": {"figure": "f"} | keys}).summaries["s"])
 
-    told = {name: value(statistic=name) for name in ("mean", "median", "min", "max", "sum", "count", "quantile", "std")}
-    assert told == {"mean": 5.0, "median": 4.0, "min": 1.0, "max": 9.0, "sum": 25.0, "count": 5.0, "quantile": 4.0,
+    computed = {
+        name: value(statistic=name) for name in ("mean", "median", "min", "max", "sum", "count", "quantile", "std")
+    }
+    assert computed == {"mean": 5.0, "median": 4.0, "min": 1.0, "max": 9.0, "sum": 25.0, "count": 5.0, "quantile": 4.0,
                     "std": pytest.approx(math.sqrt((1 + 16 + 4 + 16 + 9) / 5))}  # fmt: skip
     assert value(statistic="quantile", q=1.0) == 9.0
     assert value(statistic="quantile", q=0.125) == 2.0
@@ -411,17 +413,17 @@ def test_each_statistic_is_computed_as_named():
 def test_summaries_are_compared_with_expected_and_published_values():
     about = {"figure": "f", "statistic": "max"}
     claim = {"where": "Table I", "verdict": "reproduced", "published": 2.0}
-    given = study(
+    definition = study(
         summaries={"a": about, "b": about, "c": {"figure": "g"}}, expect={"a": "at most 1", "c": "at most 9"},
         claims={"a": claim, "other": claim | {"figure": "b", "published": 7.0}},
     )  # fmt: skip
-    results = {r.name: r for r in table.results(given, [row(figures={"f": 2.0})], {"f": "s"})}
+    results = {r.name: r for r in table.results(definition, [row(figures={"f": 2.0})], {"f": "s"})}
     assert {n: (r.value, r.published, r.passed, r.error) for n, r in results.items()} == {
         "a": (2.0, 2.0, False, ""), "b": (2.0, 7.0, True, ""), "c": (None, None, False, "the result is nan"),
     }  # fmt: skip
     assert [r.unit for r in results.values()] == ["s", "s", ""]
     assert (results["a"].at_most, results["b"].at_most) == (1.0, None)
-    held = {f.key: f.holds for f in table.claims(given, list(results.values()))}
+    held = {f.key: f.holds for f in table.claims(definition, list(results.values()))}
     assert held == {"a": True, "other": False}
 
 
@@ -429,15 +431,15 @@ def test_summaries_are_compared_with_expected_and_published_values():
 
 
 def test_the_best_candidate_has_all_its_seeds_within_the_limits():
-    given = {"figure": "f", "count": 4, "subject_to": {"g": "at most 2"}, "parameters": {"a": {"uniform": [0, 1]}}}
+    settings = {"figure": "f", "count": 4, "subject_to": {"g": "at most 2"}, "parameters": {"a": {"uniform": [0, 1]}}}
     values = [(0.1, 0.1, 3.0), (0.4, 0.6, 2.0), (0.3, 0.5, 1.0), (0.2, None, 1.0), (0.9, 0.8, 1.0)]
     rows = [row(2 * k + j, figures={"f": v[j], "g": v[2]}, seed=j) for k, v in enumerate(values) for j in range(2)]
     for aim, numbers in (("minimise", [4, 5]), ("maximise", [8, 9])):
-        result = page.best(study(search=given | {"aim": aim}, seeds=2), rows)
+        result = page.best(study(search=settings | {"aim": aim}, seeds=2), rows)
         assert [r["number"] for r in result] == numbers
     # the third run lacks one of its seeds
-    assert [r["number"] for r in page.best(study(search=given, seeds=2), rows[:5])] == [2, 3]
-    assert page.best(study(search=given | {"subject_to": {"g": "at most 0"}}, seeds=2), rows) == []
+    assert [r["number"] for r in page.best(study(search=settings, seeds=2), rows[:5])] == [2, 3]
+    assert page.best(study(search=settings | {"subject_to": {"g": "at most 0"}}, seeds=2), rows) == []
     assert page.best(study(), rows) == []
 
 
@@ -503,11 +505,11 @@ def test_a_band_over_a_parameter_is_explained(seeds):
 
 
 def test_in_parallel_coordinates_the_best_is_drawn_last():
-    given = {"figure": "f", "count": 3, "parameters": {"x": {"uniform": [0, 1]}}}
+    settings = {"figure": "f", "count": 3, "parameters": {"x": {"uniform": [0, 1]}}}
     rows = [row(k, figures={"f": f}, overrides={"x": x}) for k, (f, x) in
             enumerate([(3.0, 0.0), (1.0, 0.5), (2.0, 1.0), (1.0, 0.25), (None, 0.75)])]  # fmt: skip
     for aim, last in (("minimise", [0.5, 0.0]), ("maximise", [0.0, 1.0])):
-        (ax,) = on_paper(pictures._parallel(study(search=given | {"aim": aim}).search, rows)).axes
+        (ax,) = on_paper(pictures._parallel(study(search=settings | {"aim": aim}).search, rows)).axes
         assert len(ax.lines) == 4
         assert ax.lines[-1].get_ydata() == pytest.approx(last)  # the first of equal values
         assert [line.get_alpha() for line in ax.lines] == pytest.approx([0.2, 0.4, 0.6, 0.8])
@@ -517,12 +519,12 @@ def test_in_parallel_coordinates_the_best_is_drawn_last():
 @pytest.mark.parametrize("seeds", [1, 3])
 def test_bands_show_at_most_six_groups_up_to_their_common_end(seeds):
     """One of the seeds broke off before its first sample, another one half-way."""
-    given = study(cases={name: {} for name in "abcdefg"}, signals=["s"], samples=5, seeds=seeds)
+    definition = study(cases={name: {} for name in "abcdefg"}, signals=["s"], samples=5, seeds=seeds)
     rows = [row(case=name, seed=k) | {"signals": {"s": {"end": 2.0, "x": [k + 1.0 * j for j in range(5)]}}}
             for name in "abcdefg" for k in range(seeds)]  # fmt: skip
     rows += [row(case="a") | {"signals": {"s": kept}} for kept in ({"end": 0.0, "x": []}, {"end": 1.0, "x": [1.0]})]
     rows.append(row(case="b"))
-    ((title, figure),) = pictures._bands(given, rows, {"s": "V"})
+    ((title, figure),) = pictures._bands(definition, rows, {"s": "V"})
     figure = on_paper(figure)
     (ax,) = figure.axes
     more = ": median of 3, 10 % to 90 %" if seeds > 1 else ""
@@ -537,7 +539,7 @@ def test_bands_show_at_most_six_groups_up_to_their_common_end(seeds):
 
 
 @pytest.fixture
-def told(monkeypatch):
+def page_of(monkeypatch):
     """The lines of a page with some rows."""
     monkeypatch.setattr(page, "load_scenario", lambda name: SimpleNamespace(cites=()))
 
@@ -549,25 +551,25 @@ def told(monkeypatch):
 
 
 @pytest.mark.parametrize("verdict", ["reproduced", "not_checkable"])
-def test_a_verdict_is_in_words_or_a_mark_if_it_does_not_hold(told, verdict):
+def test_a_verdict_is_in_words_or_a_mark_if_it_does_not_hold(page_of, verdict):
     about = {"text": "It does.", "where": "Table I", "published": 2.0, "asked": "within 5 %", "measured_text": "2.1",
              "verdict": verdict, "reason": "so"}  # fmt: skip
     for holds, word in ((True, verdict.replace("_", " ")), (False, f"✗ {verdict}: not borne out")):
-        lines = told([], [SimpleNamespace(holds=holds, **about)])
+        lines = page_of([], [SimpleNamespace(holds=holds, **about)])
         assert any(word in line for line in lines)
         assert sum("✗" in line for line in lines) == (not holds)
 
 
 @pytest.mark.parametrize("most", [2, 3])
-def test_a_page_lists_the_first_runs_and_says_so(told, monkeypatch, most):
+def test_a_page_lists_the_first_runs_and_says_so(page_of, monkeypatch, most):
     monkeypatch.setattr(page, "LONGEST", most)
-    lines = told([row(k, figures={"f": 1.0 * k}) for k in range(3)])
+    lines = page_of([row(k, figures={"f": 1.0 * k}) for k in range(3)])
     assert sum(line.startswith(tuple(f"tr: {k} |" for k in range(3))) for line in lines) == most
     note = "table.parquet and table.csv have every run with the command that repeats it."
     assert f"p.note: {'The first 2 of 3 runs. ' if most == 2 else ''}{note}" in lines
     heads = next(line for line in lines if line.startswith("tr: Run"))
     assert heads.split(" | ")[-1].endswith("f (s)")
-    broken = told([row(0, figures={"f": 1.0}), row(1, error="gone")])
+    broken = page_of([row(0, figures={"f": 1.0}), row(1, error="gone")])
     assert next(line for line in broken if line.startswith("tr: Run")).endswith("| Broke")
     assert any(line.endswith("| gone") for line in broken)
 

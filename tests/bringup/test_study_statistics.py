@@ -28,10 +28,10 @@ def study(**keys):
     return make_study({"name": "demo", "title": "Demo", "scenario": "lag"} | keys)
 
 
-def rows_of(given, figure, cases=("",)):
+def rows_of(definition, figure, cases=("",)):
     """Rows of a study by a formula of case, draw and seed, in numbered order."""
-    seeds = given.seeds or [0]
-    points = draw(given.draws) if given.draws else [{}]
+    seeds = definition.seeds or [0]
+    points = draw(definition.draws) if definition.draws else [{}]
     of = [(c, k, point, seed) for c in cases for k, point in enumerate(points) for seed in seeds]
     for number, (case, k, point, seed) in enumerate(of):
         value = figure(case, k, point, seed)
@@ -43,12 +43,12 @@ def rows_of(given, figure, cases=("",)):
 def test_a_requirement_counts_in_the_runs_in_which_it_is_judged(folder):  # noqa: F811
     with (folder / "scenarios" / "lag.yaml").open("a") as file:
         file.write("shared: {x: lag/state/x/position}\nrequirements: {low: always x <= 1, high: always x >= 0.1}\n")
-    rows, required = [*rows_of(given := study(seeds=4), lambda *at: at[-1])], ["low", "high"]
+    rows, required = [*rows_of(definition := study(seeds=4), lambda *at: at[-1])], ["low", "high"]
     other = {"not_judged": required, "published_for": "pv_plant.N = 1"}
-    one = statistics(given, [rows[0], rows[1] | {"missed": required}, *(row | other for row in rows[2:])], {})
+    one = statistics(definition, [rows[0], rows[1] | {"missed": required}, *(row | other for row in rows[2:])], {})
     assert [(s.requirement, s.held, s.n) for s in one.shares] == [(name, 1, 2) for name in required]
     none = [row | other for row in rows]
-    assert statistics(given, none, {}).shares == []
+    assert statistics(definition, none, {}).shares == []
     text = f"not judged in 4 of 4 runs: {', '.join(required)}, published for pv_plant.N = 1 (--strict judges them)"
     assert not_judged(none) == text
     assert not_judged(rows) == ""
@@ -145,14 +145,14 @@ def test_the_stated_number_of_runs_makes_an_interval_as_narrow_and_no_smaller_on
 def test_sobol_indices_of_ishigamis_function_are_its_closed_form():
     """Ishigami and Homma, 1990: sin x1 + 7 sin^2 x2 + 0.1 x3^4 sin x1."""
     parameters = {f"n.x{k}": {"uniform": [-math.pi, math.pi]} for k in (1, 2, 3)}
-    given = study(draws={"count": 512, "seed": 1, "method": "sensitivity", "parameters": parameters})
+    definition = study(draws={"count": 512, "seed": 1, "method": "sensitivity", "parameters": parameters})
 
     def ishigami(case, k, point, seed):
         x = list(point.values())
         return math.sin(x[0]) + 7.0 * math.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * math.sin(x[0])
 
-    assert count(given) == points_of(given) == 512 * 5
-    result = statistics(given, list(rows_of(given, ishigami)), {"f": "m"})
+    assert count(definition) == points_of(definition) == 512 * 5
+    result = statistics(definition, list(rows_of(definition, ishigami)), {"f": "m"})
     a, b, pi4, pi8 = 7.0, 0.1, math.pi**4, math.pi**8
     variances = (0.5 * (1.0 + b * pi4 / 5.0) ** 2, a**2 / 8.0, 0.0), b**2 * pi8 * 8.0 / 225.0
     total = sum(variances[0]) + variances[1]
@@ -176,13 +176,13 @@ def test_cases_are_compared_draw_by_draw():
     draws.
     """
     noise = np.random.default_rng(3).normal(0.0, 0.01, (2, 60))
-    given = study(cases={"a": {}, "b": {}}, draws={"count": 60, "parameters": {"n.x": UNIFORM}})
+    definition = study(cases={"a": {}, "b": {}}, draws={"count": 60, "parameters": {"n.x": UNIFORM}})
 
     def figure(case, k, point, seed):
         return 10.0 * point["n.x"] + (0.02 if case == "b" else 0.0) + noise[int(case == "b"), k]
 
-    rows = list(rows_of(given, figure, "ab"))
-    result = statistics(given, rows, {"f": "s"})
+    rows = list(rows_of(definition, figure, "ab"))
+    result = statistics(definition, rows, {"f": "s"})
     pairs = np.array([rows[60 + k]["figures"]["f"] - rows[k]["figures"]["f"] for k in range(60)])
     (d,) = result.differences
     assert (d.group, d.base, d.unit, d.n) == ("b", "a", "s", 60)
@@ -197,9 +197,9 @@ def test_cases_are_compared_draw_by_draw():
 
 
 def test_an_event_that_never_happens_counts_in_the_shares_and_not_in_the_differences():
-    given = study(cases={"a": {}, "b": {}}, draws={"count": 8, "parameters": {"n.x": UNIFORM}})
+    definition = study(cases={"a": {}, "b": {}}, draws={"count": 8, "parameters": {"n.x": UNIFORM}})
     values = {"a": [1.0] * 8, "b": [math.inf, None, 1.0, 0.5, 0.5, 0.5, 2.0, math.inf]}
-    result = statistics(given, list(rows_of(given, lambda case, k, point, seed: values[case][k], "ab")), {})
+    result = statistics(definition, list(rows_of(definition, lambda case, k, point, seed: values[case][k], "ab")), {})
     (d,) = result.differences
     assert (d.n, d.difference.value) == (5, pytest.approx((0.0 - 1.5 + 1.0) / 5))
     assert d.smaller.value == pytest.approx(3.5 / 7)  # of the seven known pairs, one is equal and counts half
@@ -209,9 +209,9 @@ def test_an_event_that_never_happens_counts_in_the_shares_and_not_in_the_differe
 
 def test_seeds_of_a_draw_belong_together():
     """Five seeds that hardly differ are not five draws: the interval is that of the draws."""
-    given = study(seeds=5, draws={"count": 30, "method": "random", "parameters": {"n.x": UNIFORM}})
-    rows = list(rows_of(given, lambda case, k, point, seed: point["n.x"] + 1e-6 * seed))
-    result = statistics(given, rows, {})
+    definition = study(seeds=5, draws={"count": 30, "method": "random", "parameters": {"n.x": UNIFORM}})
+    rows = list(rows_of(definition, lambda case, k, point, seed: point["n.x"] + 1e-6 * seed))
+    result = statistics(definition, rows, {})
     (line,) = result.lines
     singly = estimate.mean(np.array([rows[5 * k]["figures"]["f"] for k in range(30)]))
     assert line.n == 30
@@ -224,8 +224,8 @@ def test_seeds_of_a_draw_belong_together():
 
 @pytest.mark.parametrize("draws", [{}, {"draws": {"count": 4, "method": "random", "parameters": {"n.x": UNIFORM}}}])
 def test_seeds_that_change_nothing_are_one_run(draws):
-    given = study(seeds=40, **draws)
-    result = statistics(given, list(rows_of(given, lambda case, k, point, seed: 1.0 + k)), {})
+    definition = study(seeds=40, **draws)
+    result = statistics(definition, list(rows_of(definition, lambda case, k, point, seed: 1.0 + k)), {})
     assert [line.n for line in result.lines] == ([4] if draws else [])
     assert result.notes[0] == "the 40 seeds are one run: its nodes draw no random number that a figure depends on"
     only = statistics(
@@ -238,26 +238,26 @@ def test_seeds_that_change_nothing_are_one_run(draws):
 
 
 def test_each_grid_point_is_a_separate_sample():
-    given = study(grid={"n.k": [0.01, 0.010001]}, seeds=4)
+    definition = study(grid={"n.k": [0.01, 0.010001]}, seeds=4)
     rows = [
         row | {"overrides": {"n.k": k}, "number": 4 * j + row["seed"]}
         for j, k in enumerate((0.01, 0.010001))
-        for row in rows_of(given, lambda c, j, p, seed, k=k: k + seed)
+        for row in rows_of(definition, lambda c, j, p, seed, k=k: k + seed)
     ]
-    result = statistics(given, rows, {})
+    result = statistics(definition, rows, {})
     assert [(line.group, line.n) for line in result.lines] == [("k 0.01", 4), ("k 0.010001", 4)]
     # one run for each case is not a sample
     assert statistics(study(grid={"n.k": [1, 2]}), [rows[0], rows[4]], {}).lines == []
 
 
 def test_a_summary_without_a_case_is_made_for_each_case():
-    given = study(
+    definition = study(
         cases={"a": {}, "b": {}},
         summaries={"m": {"figure": "f"}, "of_b": {"figure": "f", "where": {"case": "b"}}},
         expect={"m": "at most 2"},
     )
-    rows = [*rows_of(given, lambda case, k, point, seed: 1.0 if case == "a" else 5.0, "ab")]
-    result = results(given, rows, {"f": "m/s"})
+    rows = [*rows_of(definition, lambda case, k, point, seed: 1.0 if case == "a" else 5.0, "ab")]
+    result = results(definition, rows, {"f": "m/s"})
     assert [(r.name, r.value, r.passed, r.unit) for r in result] == [
         ("m (a)", 1.0, True, "m/s"), ("m (b)", 5.0, False, "m/s"), ("of_b", 5.0, True, "m/s"),
     ]  # fmt: skip
@@ -333,8 +333,8 @@ def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder,
     (folder / "scenarios" / "noisy.yaml").write_text(noisy)
     # one of the scenarios draws random numbers
     for drawing in ({"scenario": "noisy"}, {"cases": {"a": {}, "b": {"scenario": "noisy"}}}):
-        given = study(seeds=3, duration=0.05, **drawing)
-        check_seeds(given, drafts_of(given))
+        definition = study(seeds=3, duration=0.05, **drawing)
+        check_seeds(definition, drafts_of(definition))
 
 
 @pytest.mark.parametrize(

@@ -40,11 +40,11 @@ def points(form):
     """Points of the data of a path, pieces one after the other."""
     result = []
     for letter, numbers in re.findall(r"([MlhHVvz])([^MlhHVvz]*)", form):
-        given = [float(v) for v in re.findall(r"-?[\d.]+", numbers)]
+        numbers_read = [float(v) for v in re.findall(r"-?[\d.]+", numbers)]
         if letter == "M":
-            result.append([tuple(given[:2])])
+            result.append([tuple(numbers_read[:2])])
         elif letter == "l":
-            for dx, dy in zip(given[::2], given[1::2], strict=True):
+            for dx, dy in zip(numbers_read[::2], numbers_read[1::2], strict=True):
                 result[-1].append((result[-1][-1][0] + dx, result[-1][-1][1] + dy))
     return result
 
@@ -59,20 +59,20 @@ def test_ticks_and_their_texts_are_those_of_matplotlib(a, b, power, most, whole)
     assume(a != b)
     low, high = min(a, b) * 10.0**power, max(a, b) * 10.0**power
     assume(not whole or high - low >= 2)
-    theirs = [t for t in MaxNLocator(most, steps=[1, 2, 2.5, 5, 10], integer=whole).tick_values(low, high)
+    of_matplotlib = [t for t in MaxNLocator(most, steps=[1, 2, 2.5, 5, 10], integer=whole).tick_values(low, high)
               if low - 1e-9 * (high - low) <= t <= high + 1e-9 * (high - low)]  # fmt: skip
-    ours = round_ticks(low, high, most, whole)
-    assert ours == pytest.approx(theirs, abs=1e-9 * (high - low))
-    if len(ours) < 2 or whole:
+    drawn_here = round_ticks(low, high, most, whole)
+    assert drawn_here == pytest.approx(of_matplotlib, abs=1e-9 * (high - low))
+    if len(drawn_here) < 2 or whole:
         return
     with rc_context(style()):
         numbers = ScalarFormatter()
         numbers.create_dummy_axis()
         numbers.axis.set_view_interval(low, high)
-        numbers.set_locs(ours)
-        messages = [re.sub("^\N{MINUS SIGN}(?=0\\.?0*$)", "", numbers(t)) for t in ours]
-    assert power_of(ours) == numbers.orderOfMagnitude
-    assert texts(ours, power_of(ours), (low, high)) == messages
+        numbers.set_locs(drawn_here)
+        messages = [re.sub("^\N{MINUS SIGN}(?=0\\.?0*$)", "", numbers(t)) for t in drawn_here]
+    assert power_of(drawn_here) == numbers.orderOfMagnitude
+    assert texts(drawn_here, power_of(drawn_here), (low, high)) == messages
 
 
 def test_one_tick_has_the_digits_of_its_limits_and_none_has_none():
@@ -93,9 +93,9 @@ def test_a_factor_is_written_before_the_unit(title, power, unit, result):
 @pytest.mark.parametrize("name", ["cividis", "viridis"])
 def test_shades_are_those_of_matplotlib(name):
     shares = np.linspace(0.0, 1.0, 201)
-    theirs = colormaps[name](shares)[:, :3] * 255
-    ours = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in shades(name, shares)])
-    assert np.abs(ours - theirs).max() < 8
+    of_matplotlib = colormaps[name](shares)[:, :3] * 255
+    drawn_here = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in shades(name, shares)])
+    assert np.abs(drawn_here - of_matplotlib).max() < 8
     assert [shades(name, [k / 20])[0] for k in range(21)] == [to_hex(c) for c in colormaps[name](np.arange(21) / 20)]
     assert shades(name, [math.nan, -1.0, 2.0]) == ["", *(to_hex(colormaps[name](v)) for v in (0.0, 1.0))]
 
@@ -249,15 +249,15 @@ def test_a_wide_axes_ends_where_those_below_it_end():
 
 @pytest.mark.parametrize("values", [(0.0, 1.0), (-3.0, 40.0), (2.0, 2.0), (0.0, 0.0), (math.nan, math.nan)])
 def test_limits_are_those_of_matplotlib(values):
-    ours, theirs = figure().subplots(), None
-    ours.plot([0.0, 2.0], values)
+    drawn_here, of_matplotlib = figure().subplots(), None
+    drawn_here.plot([0.0, 2.0], values)
     with rc_context(style()):
-        theirs = Printed().subplots()
-        theirs.plot([0.0, 2.0], values)
-        theirs.margins(x=0.05)
-    ours.margins(x=0.05)
-    assert ours.get_xlim() == pytest.approx(theirs.get_xlim())
-    assert ours.get_ylim() == pytest.approx(theirs.get_ylim())
+        of_matplotlib = Printed().subplots()
+        of_matplotlib.plot([0.0, 2.0], values)
+        of_matplotlib.margins(x=0.05)
+    drawn_here.margins(x=0.05)
+    assert drawn_here.get_xlim() == pytest.approx(of_matplotlib.get_xlim())
+    assert drawn_here.get_ylim() == pytest.approx(of_matplotlib.get_ylim())
     assert figure().subplots().get_ylim() == (0.0, 1.0)
     fixed = Axis(0.1)
     fixed.see([0.0, 10.0], (0.0,))
@@ -298,12 +298,12 @@ def test_bars_boxes_maps_and_dots_are_those_of_matplotlib():
     left, right = (one.add_subplot(grid[0, k]) for k in (0, 1))
     left.hist(values, bins=[0.0, 2.0, 4.0, 10.0], color="#0072b2")
     right.boxplot([values, []], orientation="horizontal", tick_labels=["a", "b"], flierprops={"markersize": 3})
-    theirs = on_paper(one)
+    of_matplotlib = on_paper(one)
     bars = left.items[0].boxes
-    assert bars[:, 3].tolist() == [p.get_height() for p in theirs.axes[0].patches] == [1.0, 4.0, 2.0]
+    assert bars[:, 3].tolist() == [p.get_height() for p in of_matplotlib.axes[0].patches] == [1.0, 4.0, 2.0]
     assert left.get_ylim()[0] == 0.0  # bars stand on the axis
     box, low, high, *_, middle, beyond = right.lines
-    lines = theirs.axes[1].lines
+    lines = of_matplotlib.axes[1].lines
     assert sorted({*box.x}) == [2.25, 3.75]
     whiskers = [sorted(line.get_xdata()) for line in lines[1:3]]
     assert [low.x.tolist(), high.x.tolist()] == whiskers == [[1.0, 2.25], [3.75, 4.0]]
@@ -375,7 +375,7 @@ def test_a_picture_is_drawn_again_for_print_with_all_of_its_calls():
 
     assert len(plot_entry(run.signals, run.rig, entry).axes) == 2
     own = _overview(Source(run.signals, run.rig))
-    theirs = printed(own)
-    assert [len(a.lines) for a in own.axes] == [len(a.lines) for a in theirs.axes]
-    assert {line.get_linewidth() for a in theirs.axes for line in a.lines} == {1.0}
+    of_matplotlib = printed(own)
+    assert [len(a.lines) for a in own.axes] == [len(a.lines) for a in of_matplotlib.axes]
+    assert {line.get_linewidth() for a in of_matplotlib.axes for line in a.lines} == {1.0}
     assert isinstance(own.axes[0], Axes)

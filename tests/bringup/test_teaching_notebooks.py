@@ -40,10 +40,10 @@ def test_a_notebook_is_stored_without_results_and_names_things_that_exist(name):
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_students_get_the_exercises_and_no_solution(name):
     text = pages()[name].read_text()
-    whole, given = (json.loads(one)["cells"] for one in (text, without_solutions(text)))
+    whole, exercises = (json.loads(one)["cells"] for one in (text, without_solutions(text)))
     at = next(k for k, cell in enumerate(whole) if "".join(cell["source"]).startswith("## Solutions"))
-    assert given[:at] == whole[:at]
-    assert [cell["source"] for cell in given[at:]] == [
+    assert exercises[:at] == whole[:at]
+    assert [cell["source"] for cell in exercises[at:]] == [
         "## Your answers",
         *(f"# {k}. " for k in range(1, len(whole) - at)),
     ]
@@ -57,17 +57,17 @@ def test_students_get_the_exercises_and_no_solution(name):
 def test_a_notebook_shows_the_numbers_of_the_verbs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
-    there = {}
+    by_scenario = {}
     with contextlib.redirect_stdout(io.StringIO()):
         for cell in cells(name, "code"):
-            exec(compile(cell, name, "exec"), there)
-    runs = [run for run in there.values() if isinstance(run, Run) and run.rig.scenario.name in list_scenarios()]
+            exec(compile(cell, name, "exec"), by_scenario)
+    runs = [run for run in by_scenario.values() if isinstance(run, Run) and run.rig.scenario.name in list_scenarios()]
     assert runs
     for run in runs:
         scenario = run.rig.scenario.name
         main(["run", scenario, "--mode", "inprocess", "--no-plots", "--no-record", "--out", scenario])
-        said = json.loads((tmp_path / scenario / "metrics.json").read_text())["metrics"]
-        measured = {figure["name"]: figure["value"] for figure in said}
+        of_notebook = json.loads((tmp_path / scenario / "metrics.json").read_text())["metrics"]
+        measured = {figure["name"]: figure["value"] for figure in of_notebook}
         shown = {r.name: r.value for r in run.results if r.value is not None}
         assert shown
         assert {figure: measured[figure] for figure in shown} == shown

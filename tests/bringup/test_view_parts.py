@@ -153,25 +153,25 @@ def test_the_time_of_a_run_is_that_up_to_which_all_nodes_have_published(run, clo
     periods = {p.topic: m.params.period for m in rig.members for p in m.outputs if not p.sporadic}
     assert source.length == rig.scenario.duration
     assert (source.end, source.version, source.outcome, source.live) == (0.0, 0, "", True)
-    given, ends, version = Counter(), [(0.0, 0.0)], 0
+    published, ends, version = Counter(), [(0.0, 0.0)], 0
     for k in range(20):
         clock.now += 0.25
         part = Recording((t, p.msgtype) for t, p in rig.topics.items())
         for name in part.topics:
-            whole, n = run.recording.topics[name].since(given[name]), rng.choice([0, 1, 5])
+            whole, n = run.recording.topics[name].since(published[name]), rng.choice([0, 1, 5])
             part.topics[name].times.extend(whole.times[:n])
             part.topics[name].data.extend(map(bytes, whole.data[:n]))
-            given[name] += len(whole.times[:n])
+            published[name] += len(whole.times[:n])
         source.append(part)
         version += sum(bool(t.times and rig.topics[n].labels) for n, t in part.topics.items())
-        newest = {n: run.recording.topics[n].times[c - 1] / SECOND for n, c in given.items() if c}
+        newest = {n: run.recording.topics[n].times[c - 1] / SECOND for n, c in published.items() if c}
         held_up = [t + periods[n] for n, t in newest.items() if n in periods] if held else []
         assert source.end == pytest.approx(min([max(newest.values()), *held_up]))
         ends.append((clock.now, source.end))
         (t0, a), (t1, b) = ends[max(1, k + 2 - 12)], ends[-1]
         assert source.speed == pytest.approx((b - a) / (t1 - t0) if t1 > t0 else 0.0)
     assert source.version == version
-    for name, count in given.items():
+    for name, count in published.items():
         times = [t / SECOND for t in run.recording.topics[name].times[:count] if rig.topics[name].labels]
         assert source.pane(0.0, math.inf).table(name).t.tolist() == times
     source.finish("ended", None)
@@ -485,14 +485,14 @@ def test_tokens_cannot_be_guessed():
 
 def asked(host="127.0.0.1", token="", cookie=""):
     """A request as a browser makes it, and the cookies that it gets."""
-    given = {}
+    answer = {}
     handler = SimpleNamespace(
         request=SimpleNamespace(host_name=host),
         get_argument=lambda name, default: token if name == "token" else default,
         get_cookie=lambda name, default=None: cookie if name == "softrig_token" else default,
-        set_cookie=lambda name, value, **how: given.update({name: (value, how)}),
+        set_cookie=lambda name, value, **how: answer.update({name: (value, how)}),
     )
-    return handler, given
+    return handler, answer
 
 
 @pytest.mark.parametrize(
@@ -508,7 +508,7 @@ def asked(host="127.0.0.1", token="", cookie=""):
     ],
 )
 def test_a_request_with_the_token_is_accepted_and_a_cookie_keeps_it(names, request_of, refused, kept):
-    handler, given = asked(**request_of)
+    handler, answer = asked(**request_of)
     guard = _Token("right", names)
     arrived = guard.get_user_async(handler)
     if refused:
@@ -519,7 +519,7 @@ def test_a_request_with_the_token_is_accepted_and_a_cookie_keeps_it(names, reque
         with pytest.raises(StopIteration) as result:
             arrived.send(None)
         assert result.value.value == "token"
-    assert given == ({"softrig_token": ("right", {"httponly": True, "samesite": "Strict"})} if kept else {})
+    assert answer == ({"softrig_token": ("right", {"httponly": True, "samesite": "Strict"})} if kept else {})
     assert guard.login_url == "/"
 
 
@@ -637,7 +637,7 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
 def test_each_browser_has_a_number_and_the_style_that_it_asks_for(pages, monkeypatch):
     made = []
     monkeypatch.setattr(
-        serve, "Page", lambda document, source, control, figures, who, how, style: made.append((who, how, style))
+        serve, "Page", lambda document, source, control, figures, user, how, style: made.append((user, how, style))
     )
 
     def document(**arguments):

@@ -44,12 +44,12 @@ def test_rviz_shows_what_the_nodes_publish_in_frames_that_they_publish(name, tmp
     rviz = viewer(rig, tmp_path, "a", simulated=True)
     shown = yaml.safe_load(Path(rviz.arguments[1]).read_text())["Visualization Manager"]
     assert shown["Global Options"]["Fixed Frame"] == WORLD
-    there, drawn = {WORLD}, {}
+    placed, drawn = {WORLD}, {}
     for m in rig.members:
         block, scene = ByHand(m.block(0)), scene_of(m.block_class, m.params)
         still = standing(block.markers(), scene, m.outputs)
         assert {pose.parent for pose in still} <= {WORLD, *(pose.child for pose in still)} | links(scene)
-        there |= {pose.child for pose in still}
+        placed |= {pose.child for pose in still}
         drawn[m.name] = {k.frame_id for k in block.markers()}
         if scene is not None:
             robot = ElementTree.fromstring(scene.description)
@@ -60,7 +60,7 @@ def test_rviz_shows_what_the_nodes_publish_in_frames_that_they_publish(name, tmp
             poses = scene.moving([0.0] * len(moving))
             assert links(scene) <= {WORLD, *(pose.child for pose in (*still, *poses))}
             assert "/a/robot_description" in [d.get("Description Topic", {}).get("Value") for d in shown["Displays"]]
-    assert {frame for result in drawn.values() for frame in result} <= there
+    assert {frame for result in drawn.values() for frame in result} <= placed
     topics = {d["Topic"]["Value"] for d in shown["Displays"] if "Topic" in d}
     assert {f"/a/{node}/markers" for node, result in drawn.items() if result} <= topics
     assert ("/tf", "/a/tf") in rviz.remappings
@@ -102,11 +102,13 @@ def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, con
     assert manager.pop("update_rate") * law.params.period == 1
     assert set(manager) == set(content)
     for entry in content.values():
-        given = entry["ros__parameters"]
-        kinds = given.get("command_interfaces") or [given.get("interface_name") or given["command_interface"]]
-        joints = given.get("joints") or given["dof_names"]
+        parameters = entry["ros__parameters"]
+        kinds = parameters.get("command_interfaces") or [
+            parameters.get("interface_name") or parameters["command_interface"]
+        ]
+        joints = parameters.get("joints") or parameters["dof_names"]
         assert {f"{j}/{k}" for j in joints for k in kinds} <= wanted
-        kinds = given.get("state_interfaces", given.get("reference_and_state_interfaces", []))
+        kinds = parameters.get("state_interfaces", parameters.get("reference_and_state_interfaces", []))
         assert {f"{j}/{k}" for j in joints for k in kinds} <= names
 
 

@@ -44,14 +44,14 @@ def attack(seed: int, directory: Path) -> None:
     chance = random.Random(seed)
     door = DOORS[seed % len(DOORS)]
     (directory / "case").write_text(f"seed {seed}, {door.__name__}")
-    there = {*Path("/tmp").iterdir()}
+    before = {*Path("/tmp").iterdir()}
     try:
         door(chance, directory)
     except (ScenarioError, RunError, ValueError) as error:
         message = str(error)
         assert len(message) <= LONGEST, f"{len(message)} letters: {message[:200]}"
         assert not [word for word in RAW if word in message], message
-    assert not [p for p in {*Path("/tmp").iterdir()} - there if p.name.startswith("softrig_fmu")], "left in /tmp"
+    assert not [p for p in {*Path("/tmp").iterdir()} - before if p.name.startswith("softrig_fmu")], "left in /tmp"
 
 
 def damaged(data: bytes, chance: random.Random) -> bytes:
@@ -213,9 +213,9 @@ def library(chance: random.Random, directory: Path) -> None:
         simulate(with_law({"flags": [f"-DFAULT={name}"], "isolated": apart, "timeout": 0.5}))
     finally:
         children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-        ours = [c for c in children if "shim_" in Path(f"/proc/{c}/cmdline").read_text(errors="replace")]
+        shims = [c for c in children if "shim_" in Path(f"/proc/{c}/cmdline").read_text(errors="replace")]
         ended = ("CRASH", "ABORT", "RECURSE", "EXIT", "CLOSES", "FORKS")  # the others end when the run is forgotten
-        assert not ours or name not in ended, f"{name}: left {ours}"
+        assert not shims or name not in ended, f"{name}: left {shims}"
 
 
 def program(chance: random.Random, directory: Path) -> None:

@@ -76,7 +76,7 @@ def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path
 
 def cpu() -> float:
     """Return the CPU time of this process and of those that it has started, s."""
-    spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    spent = [resource.getrusage(process) for process in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(s.ru_utime + s.ru_stime for s in spent)
 
 

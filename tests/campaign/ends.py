@@ -67,19 +67,19 @@ def attack(seed: int, directory: Path) -> None:
     words = " ".join(s.name for s in signals)
     (directory / "case").write_text(f"{words} in {phase}: {' '.join(command)}\n")
     before = segments()
-    (heard, marks), (held, go) = os.pipe(), os.pipe()
-    runner = fork(command, text, lambda: marked(phase, duration, marks, held, go))
-    for end in (marks, held):
+    (heard, marks), (go_read, go) = os.pipe(), os.pipe()
+    runner = fork(command, text, lambda: marked(phase, duration, marks, go_read, go))
+    for end in (marks, go_read):
         os.close(end)
     try:
         strike(chance, runner, phase, signals, heard)
         os.close(go)
         status = ended(runner)
         domain = next((int(v["ROS_DOMAIN_ID"]) for _, v in of_run(directory) if "ROS_DOMAIN_ID" in v), None)
-        said = text.read_text(errors="replace")
-        assert "Traceback" not in said, said[-2000:]
+        printed = text.read_text(errors="replace")
+        assert "Traceback" not in printed, printed[-2000:]
         assert (left := orphans(directory)) == [], f"{len(left)} processes of the run live on"
-        judge(status, phase, signals, said, out)
+        judge(status, phase, signals, printed, out)
         scenario = load_scenario(name).having(duration=duration)
         judge_record(scenario, seed, out, directory)
         assert (files := left_in_memory(before, domain)) == [], f"left in shared memory: {files[:3]}"
@@ -90,7 +90,7 @@ def attack(seed: int, directory: Path) -> None:
             os.waitpid(runner, 0)
 
 
-def marked(phase: str, duration: float, marks: int, held: int, go: int) -> None:
+def marked(phase: str, duration: float, marks: int, go_read: int, go: int) -> None:
     """Make the run report the beginning of a phase, and wait there until it has been interrupted."""
     os.close(go)  # else the end of the wait below would not be seen
     if phase == "any":
@@ -102,7 +102,7 @@ def marked(phase: str, duration: float, marks: int, held: int, go: int) -> None:
         if phase:
             phase = ""
             os.write(marks, b"x")
-            os.read(held, 1)
+            os.read(go_read, 1)
 
     def before(where: str, when: Callable[..., bool] = lambda *_: True) -> None:
         owner, _, name = where.rpartition(".")
@@ -125,7 +125,7 @@ def marked(phase: str, duration: float, marks: int, held: int, go: int) -> None:
         before("softrig_nodes.processes.processes.supervise")
     elif phase == "loop":
         half = duration / 2 * SECOND
-        before("softrig_bringup.view.here.Here._step", lambda here: here.session.t > duration / 2)
+        before("softrig_bringup.view.here.Here._step", lambda page: page.session.t > duration / 2)
         verb: Any = import_module(VERB)
         progress = verb.progress
 
@@ -159,12 +159,12 @@ def strike(chance: random.Random, runner: int, phase: str, signals: tuple[signal
         time.sleep(chance.choice((0.0, 0.01, 0.3)))
 
 
-def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], said: str, out: Path) -> None:
+def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], printed: str, out: Path) -> None:
     """Compare status and report with the files."""
-    lines = [line for line in said.splitlines() if line.startswith("softrig: stopped")]
+    lines = [line for line in printed.splitlines() if line.startswith("softrig: stopped")]
     written = (out / "metrics.json").exists() and (out / "report.html").exists()
     if phase == "page" or (phase == "any" and status in (0, 1)):  # the run had ended before
-        assert status in (0, 1), f"status {status}: {said[-500:]}"
+        assert status in (0, 1), f"status {status}: {printed[-500:]}"
         assert written, "judged, but not all is written"
         assert not lines, lines
         return
@@ -173,8 +173,8 @@ def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], said: st
     # Another second signal may end the run while the end is written that the first one has caused.
     ends = signals if phase in ("nodes", "loop", "any") else signals[:1]
     number = next((s for s in ends if status == 128 + s), None)
-    assert number is not None, f"status {status}: {said[-500:]}"
-    assert len(lines) == 1, lines or said[-500:]
+    assert number is not None, f"status {status}: {printed[-500:]}"
+    assert len(lines) == 1, lines or printed[-500:]
     assert f"stopped by {number.name}" in lines[0], lines
     if phase != "any":
         allowed = [PHASES[phase][1].format(number.name)]

@@ -250,9 +250,9 @@ def umasks(case: Case) -> None:
 
 def lost_directory(case: Case) -> None:
     """A current directory that has been removed."""
-    gone = case.directory / "gone"
-    gone.mkdir()
-    case.before.append(lambda: (os.chdir(gone), gone.rmdir()))
+    removed = case.directory / "gone"
+    removed.mkdir()
+    case.before.append(lambda: (os.chdir(removed), removed.rmdir()))
 
 
 def signals(case: Case) -> None:
@@ -338,8 +338,8 @@ def judge(case: Case, status: int, text: str) -> None:
     """Compare the result with what is allowed."""
     assert (left := orphans(case.directory)) == [], f"{len(left)} processes live on"
     allowed = {"out", "tables", "report.html", "runs", os.fsdecode(b"o\xffut")}
-    there = {p.name for p in case.work.iterdir() if not p.name.endswith(".hprof")}
-    assert there <= allowed, f"it wrote {sorted(there - allowed)} into the current directory"
+    remaining = {p.name for p in case.work.iterdir() if not p.name.endswith(".hprof")}
+    assert remaining <= allowed, f"it wrote {sorted(remaining - allowed)} into the current directory"
     if case.any_status:
         return
     assert status in STATUSES, f"status {status}: {text[-800:]}"

@@ -111,16 +111,16 @@ def strike(chance: random.Random, runner: int, directory: Path) -> tuple[str, in
     nodes = [number for number, _ in of_run(directory) if number != runner]
     if nodes and chance.random() < 0.6:
         number = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM, signal.SIGSTOP))
-        victim, who = chance.choice(nodes), "node"
+        victim, kind = chance.choice(nodes), "node"
         if number == signal.SIGSTOP and b"model.worker" in Path(f"/proc/{victim}/cmdline").read_bytes():
             number = signal.SIGKILL  # a solver has no time limit: the run would wait for a stopped one forever
     else:
-        number, victim, who = chance.choice((signal.SIGKILL, *ENDINGS)), runner, "runner"
+        number, victim, kind = chance.choice((signal.SIGKILL, *ENDINGS)), runner, "runner"
     try:
         os.kill(victim, number)
     except ProcessLookupError:
         return "nobody", signal.SIGKILL
-    return who, number
+    return kind, number
 
 
 def ended(runner: int) -> int:

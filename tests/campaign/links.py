@@ -149,17 +149,17 @@ def answer(client: socket.socket, kind: str, chance: random.Random) -> None:
 
 def adapter(chance: random.Random, directory: Path, member, dbc: bytes) -> None:
     """Open a CAN adapter at a serial port that answers as no adapter does."""
-    here, there = pty.openpty()
-    tty.setraw(here)
-    os.set_blocking(here, False)
+    near_end, far_end = pty.openpty()
+    tty.setraw(near_end)
+    os.set_blocking(near_end, False)
     over = threading.Event()
     known = (b"t1038", b"t103z00\r", b"T1\r", b"t103800\r", b"r1038\r", b"t1028" + b"A" * 16 + b"\r", b"\r" * 20)
 
     def talk() -> None:
         while not over.wait(0.001):
             try:
-                os.write(here, chance.choice((*known, chance.randbytes(30))))
-                os.read(here, 4096)
+                os.write(near_end, chance.choice((*known, chance.randbytes(30))))
+                os.read(near_end, 4096)
             except BlockingIOError:
                 pass
             except OSError:
@@ -171,7 +171,7 @@ def adapter(chance: random.Random, directory: Path, member, dbc: bytes) -> None:
         file = directory / "good.dbc"
         file.write_bytes(dbc)
         build = build_of(member.block_class, member.params)
-        entry = LinkEntry(port=f"can:slcan/{os.ttyname(there)}", firmware=str(file))
+        entry = LinkEntry(port=f"can:slcan/{os.ttyname(far_end)}", firmware=str(file))
         layout = Layout(member.inputs, member.outputs, {}, plant=False, single=False)
         messages = messages_of(file, NODE, member.inputs, member.outputs, build)
         line = CanLine(entry.port, lambda: _bus(entry)).use(messages, Build(build, (1, 100), layout), 0.02)
@@ -180,5 +180,5 @@ def adapter(chance: random.Random, directory: Path, member, dbc: bytes) -> None:
     finally:
         over.set()
         talking.join()
-        os.close(here)
-        os.close(there)
+        os.close(near_end)
+        os.close(far_end)

@@ -193,9 +193,9 @@ class Target:
                 self.call(ListParameters, f"{self.name}/list_parameters", prefixes=[name, name], depth=depth)
         assert self.set([], together=False) == []
         assert self.set([], together=True)[0].successful
-        gone = Parameter(name=good, value=value("NOT_SET"))
-        assert not self.set([known, gone, known], together=True)[0].successful
-        assert [r.successful for r in self.set([known, gone, known], together=False)] == [True, False, True]
+        unset = Parameter(name=good, value=value("NOT_SET"))
+        assert not self.set([known, unset, known], together=True)[0].successful
+        assert [r.successful for r in self.set([known, unset, known], together=False)] == [True, False, True]
 
     def unchanged(self) -> None:
         """Check that all parameters are as before."""
@@ -237,17 +237,17 @@ def cases() -> list[tuple[str, str, str]]:
 
     Scenarios are as few as hold all executables of any; all executables are tried alone, too.
     """
-    held = {}
+    paused_nodes = {}
     for name in sorted(file.stem for file in ROOT.glob("config/scenarios/*.yaml")):
         try:
-            held[name] = {(n.package, n.executable) for n in load_scenario(name).nodes.values()}
+            paused_nodes[name] = {(n.package, n.executable) for n in load_scenario(name).nodes.values()}
         except ScenarioError:
             continue
     known = {(package, executable) for package, executable, _ in blocks()}
-    left, rigs = known & set().union(*held.values()), []
+    left, rigs = known & set().union(*paused_nodes.values()), []
     while left:
-        rigs.append(max(held, key=lambda name: len(held[name] & left)))
-        left -= held[rigs[-1]]
+        rigs.append(max(paused_nodes, key=lambda name: len(paused_nodes[name] & left)))
+        left -= paused_nodes[rigs[-1]]
     alone = [(package, executable, mode) for package, executable in sorted(known) for mode in ("lockstep", "realtime")]
     return alone + [("", name, mode) for name in rigs for mode in ("container", "processes", "realtime")]
 

@@ -59,18 +59,18 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
         except RunError:
             domain = None
         first = 7400 + 250 * (-1000 if domain is None else domain)
-        ours = {f"{fast}port{n}" for fast in FAST for n in range(first, first + 250)}
+        own_ports = {f"{fast}port{n}" for fast in FAST for n in range(first, first + 250)}
         for _ in range(3):
             time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
             remove_leftovers(domain)
-            with ExitStack() as held:
-                left &= {n for n in segments() if _judged(n, ours) and _is_abandoned(SHARED / n, held)}
+            with ExitStack() as locks:
+                left &= {n for n in segments() if _judged(n, own_ports) and _is_abandoned(SHARED / n, locks)}
             if not left:
                 break
     return sorted(left)
 
 
-def _judged(name: str, ours: set[str]) -> bool:
+def _judged(name: str, own_ports: set[str]) -> bool:
     """Return whether the next run removes a file: ports of another domain are removed when that is used again."""
     stem = name.removesuffix("_el")
-    return stem in ours if "_port" in name else stem != name
+    return stem in own_ports if "_port" in name else stem != name

@@ -34,11 +34,11 @@ class Played:
         if name.startswith("_"):
             raise AttributeError(name)
 
-        def called(*given, **named):
+        def called(*arguments, **named):
             result = self.answers[name].pop(0) if self.answers.get(name) else None
             if result is None:
-                result = getattr(self, f"_{ALIKE.get(name, name)}", lambda *_, **__: None)(*given)
-            words = [*map(word, given), *(f"{k}={word(v)}" for k, v in named.items())]  # with what it has written
+                result = getattr(self, f"_{ALIKE.get(name, name)}", lambda *_, **__: None)(*arguments)
+            words = [*map(word, arguments), *(f"{k}={word(v)}" for k, v in named.items())]  # with what it has written
             self.calls.append(f"{name}({', '.join(words)})")
             if isinstance(result, Exception):
                 raise result
@@ -106,8 +106,8 @@ def played(monkeypatch):
             numberOfEventIndicators=1,
         )
 
-        def instantiated(folder, given, kind, *, debug_logging, logger):
-            assert given is model
+        def instantiated(folder, arguments, kind, *, debug_logging, logger):
+            assert arguments is model
             fmu.calls.append(f"instantiate {folder} {kind}{' logging' * debug_logging}")
             fmu.logger = logger
             return fmu
@@ -142,7 +142,7 @@ THREE = {
 VALUES = (1.5, 4.0, 1.0, 2.5, 3.5)
 
 
-def told(played):
+def call_lines(played):
     for version, sides in ((2, TWO), (3, THREE)):
         update = "updateDiscreteStates" if version == 3 else "newDiscreteStates"
         for exchange in (False, True):
@@ -152,7 +152,7 @@ def told(played):
                 events["completedIntegratorStep"] = [(False, False), (True, False)]
             one, fmu = played(version, exchange, 2, tolerance="1e-4", log=exchange, **sides, **events)
             values = VALUES[: len(sides["inputs"])]
-            for what, call, given in (
+            for what, call, arguments in (
                 ("begin", one.begin, ()),
                 ("from 0.5 to 1 s", one.advance, (0.5, 1.0, values)),
                 ("a parameter", one.tune, ([("Real", 5, (0.75,))],)),
@@ -163,7 +163,7 @@ def told(played):
                 if exchange and what == "keep":  # the same calls
                     break
                 fmu.calls.clear()
-                answer = call(*given)
+                answer = call(*arguments)
                 yield f"FMI {version}.0, {'model exchange' if exchange else 'co-simulation'}: {what}"
                 yield from (f"  {call}" for call in fmu.calls)
                 yield f"  -> {word(list(answer or [])) if not isinstance(answer, bytes) else answer}"
@@ -171,7 +171,7 @@ def told(played):
 
 def test_calls_are_as_expected(played):
     """At the start x = 1; it decays, and below 0.7, which is an event, within the last quarter second."""
-    check_expected("fmu/calls", told(played))
+    check_expected("fmu/calls", call_lines(played))
 
 
 def classical(f, a, b, x):

@@ -34,8 +34,10 @@ class System:
         self.calls, self.answers = [], {k: [*v] for k, v in answers.items()}
 
     def asked(self, name, default=None):
-        def call(*given, **named):
-            self.calls.append(f"{name}({', '.join([*map(word, given), *(f'{k}={v!r}' for k, v in named.items())])})")
+        def call(*arguments, **named):
+            self.calls.append(
+                f"{name}({', '.join([*map(word, arguments), *(f'{k}={v!r}' for k, v in named.items())])})"
+            )
             assert self.answers.get(name, [True]), f"{name} once more than expected"
             result = self.answers[name].pop(0) if name in self.answers else default
             if isinstance(result, BaseException):
@@ -60,9 +62,9 @@ def played(monkeypatch, system, proc=()):
     }
     monkeypatch.setattr(child, "os", SimpleNamespace(**made))
     known = ("SIGINT", "SIG_IGN", "SIGTERM", "SIGCHLD", "SIG_BLOCK", "SIG_UNBLOCK", "SIGKILL", "SIG_DFL")
-    given = {n: getattr(signal, n) for n in known}
+    signals = {n: getattr(signal, n) for n in known}
     asked = {n: system.asked(n) for n in ("signal", "pthread_sigmask", "sigwait")}
-    monkeypatch.setattr(child, "signal", SimpleNamespace(**given, **asked))
+    monkeypatch.setattr(child, "signal", SimpleNamespace(**signals, **asked))
     library = SimpleNamespace(prctl=system.asked("prctl"))
     monkeypatch.setattr(child, "ctypes", SimpleNamespace(CDLL=lambda name: library))
     limits = SimpleNamespace(RLIMIT_CORE="core", setrlimit=system.asked("setrlimit"))
@@ -111,7 +113,7 @@ WAYS = {
 }
 
 
-def told(monkeypatch):
+def conversation(monkeypatch):
     for what, answers in WAYS.items():
         system = System(**answers)
         with monkeypatch.context() as m:
@@ -124,7 +126,7 @@ def told(monkeypatch):
 
 
 def test_calls_of_the_system_are_as_expected(monkeypatch):
-    check_expected("fmu/child", told(monkeypatch))
+    check_expected("fmu/child", conversation(monkeypatch))
 
 
 class Pipe:
@@ -287,7 +289,7 @@ def test_a_process_is_asked_to_end_and_killed_if_it_does_not(late):
 
 
 def test_it_is_launched_with_its_end_of_the_pipe_and_its_import_path(monkeypatch):
-    mine, started, registered = Pipe((True, None)), [], []
+    pipe, started, registered = Pipe((True, None)), [], []
 
     class Theirs:
         def __enter__(self):
@@ -299,11 +301,14 @@ def test_it_is_launched_with_its_end_of_the_pipe_and_its_import_path(monkeypatch
         def fileno(self):
             return 9
 
-    mine.fileno = lambda: 8
-    asked = {"register": lambda *given: registered.append(given), "poll": lambda ms: registered.append(ms) or True}
+    pipe.fileno = lambda: 8
+    asked = {
+        "register": lambda *arguments: registered.append(arguments),
+        "poll": lambda ms: registered.append(ms) or True,
+    }
     poll = SimpleNamespace(**asked)
-    monkeypatch.setattr(child, "Pipe", lambda: (mine, Theirs()))
-    monkeypatch.setattr(child.subprocess, "Popen", lambda *given, **named: started.append((given, named)))
+    monkeypatch.setattr(child, "Pipe", lambda: (pipe, Theirs()))
+    monkeypatch.setattr(child.subprocess, "Popen", lambda *arguments, **named: started.append((arguments, named)))
     monkeypatch.setattr(child.select, "poll", lambda: poll)
     plan = Plan("here", False, (), (), (), 1, False)
     one = Isolated(plan, 5.0)
@@ -312,4 +317,4 @@ def test_it_is_launched_with_its_end_of_the_pipe_and_its_import_path(monkeypatch
     command = [sys.executable, "-P", "-c", code, "9", str(os.getpid())]
     assert started == [((command,), {"stdin": subprocess.DEVNULL, "pass_fds": [9]}), "closed"]
     assert registered == [(8, child.select.POLLIN), 60000.0]
-    assert mine.sent == [(sys.path, ""), ("__init__", (plan,))]
+    assert pipe.sent == [(sys.path, ""), ("__init__", (plan,))]

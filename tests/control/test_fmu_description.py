@@ -55,7 +55,7 @@ def sized(*sizes):
 
 def variables(three):
     real, whole = ("Float64", "Int32") if three else ("Real", "Integer")
-    given = [
+    values = [
         scalar("u", real, "input", unit="V", start="1.5", min="-2", max="2"),
         scalar("w", real, unit="rpm"),
         scalar("torque", real, declaredType=SimpleNamespace(unit="torque"), unit=None),
@@ -69,7 +69,7 @@ def variables(three):
         scalar("time", real, "independent", unit="furlong"),
     ]
     if three:
-        given += [
+        values += [
             scalar("A", real, "input", dimensions=sized(2, 3), start=["1", "2", "3", "4", "5", "6"], unit="hour"),
             scalar(
                 "B", "UInt8", dimensions=[SimpleNamespace(start=None, variable=SimpleNamespace(start="2"))], start="7"
@@ -77,9 +77,9 @@ def variables(three):
             scalar("tick", "Clock"),
             scalar("odd[1]", "Float32"),
         ]
-    for k, one in enumerate(given):
+    for k, one in enumerate(values):
         one.valueReference = 10 + k
-    return given
+    return values
 
 
 @pytest.fixture
@@ -88,10 +88,10 @@ def fmu(monkeypatch, tmp_path):
 
     def make(version="2.0", name="made", files=("binaries/here/m.so",), **about):
         three = version.startswith("3")
-        there = SimpleNamespace(canGetAndSetFMUstate=True, canSerializeFMUstate=True)
+        flags = SimpleNamespace(canGetAndSetFMUstate=True, canSerializeFMUstate=True)
         plain = {
             "fmiVersion": version,
-            "coSimulation": there,
+            "coSimulation": flags,
             "modelExchange": None,
             "scheduledExecution": None,
             "unitDefinitions": [SimpleNamespace(name=k, baseUnit=v) for k, v in UNITS.items()],
@@ -209,7 +209,7 @@ STARTS = [
 ]
 
 
-def told(fmu):
+def description_lines(fmu):
     for version in ("2.0", "3.0"):
         result = describe(str(fmu(version, f"made{version[0]}")))
         state = "keeps" if result.serialises else "does not keep"
@@ -222,16 +222,16 @@ def told(fmu):
         ):
             yield f"  starts {'; '.join(entries)}"
             try:
-                given = start_values(result, entries)
+                start = start_values(result, entries)
             except ValueError as error:
                 yield f"    refused: {error}"
                 continue
-            yield from (f"    {kind} {reference}: {values}" for kind, reference, values in _values(given))
-            yield from (f"    alone: {row}" for row in _values(given, {21}) if version == "3.0")
+            yield from (f"    {kind} {reference}: {values}" for kind, reference, values in _values(start))
+            yield from (f"    alone: {row}" for row in _values(start, {21}) if version == "3.0")
 
 
 def test_a_description_and_its_interpretation_are_as_expected(fmu):
-    check_expected("fmu/description", told(fmu))
+    check_expected("fmu/description", description_lines(fmu))
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def made(tmp_path, monkeypatch):
     """Make the content of the FMU of a block."""
 
     def make(block, start=None, **parameters):
-        monkeypatch.setattr(slave, "load_block", lambda *given: {("here", "made"): block}[given])
+        monkeypatch.setattr(slave, "load_block", lambda *arguments: {("here", "made"): block}[arguments])
         what = {
             "node": "it",
             "package": "here",

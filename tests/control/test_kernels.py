@@ -75,7 +75,7 @@ def off(result, right):
 
 def worst_of_exponentials(kind):
     rng = np.random.default_rng(60)
-    ours = theirs = 0.0
+    own = reference = 0.0
     for a in matrices(kind, rng):
         if len(a) > 6:
             right = np.array(exact.expm(exact.fractions(a.tolist())))  # itself held against mpmath for the lower orders
@@ -83,8 +83,8 @@ def worst_of_exponentials(kind):
             with mpmath.workdps(3 * DIGITS):
                 right = right_expm(a)
             assert np.array(exact.expm(exact.fractions(a.tolist()))) == pytest.approx(right, rel=1e-15, abs=1e-300)
-        ours, theirs = max(ours, off(expm(a.tolist()), right)), max(theirs, off(scipy.linalg.expm(a), right))
-    return ours, theirs
+        own, reference = max(own, off(expm(a.tolist()), right)), max(reference, off(scipy.linalg.expm(a), right))
+    return own, reference
 
 
 def riccatis(kind, rng):
@@ -113,17 +113,17 @@ def right_riccati(a, b, q):
 
 def worst_of_riccatis(kind):
     rng = np.random.default_rng(61)
-    ours = theirs = 0.0
+    own = reference = 0.0
     for a, b, q in riccatis(kind, rng):
         right = right_riccati(a, b, q)
-        ours = max(ours, off(riccati(a, b @ b.T, q), right))
-        theirs = max(theirs, off(scipy.linalg.solve_discrete_are(a, b, q, [[1.0]]), right))
-    return ours, theirs
+        own = max(own, off(riccati(a, b @ b.T, q), right))
+        reference = max(reference, off(scipy.linalg.solve_discrete_are(a, b, q, [[1.0]]), right))
+    return own, reference
 
 
 def worst_of_solutions(kind):
     rng = np.random.default_rng(62)
-    ours = theirs = 0.0
+    own = reference = 0.0
     for n in (1, 2, 5, 10, 20):
         a, x = rng.normal(size=(n, n)), rng.normal(size=n)
         if kind == "scaled":
@@ -132,8 +132,8 @@ def worst_of_solutions(kind):
             a[-1] = a[0] + 1e-8 * a[-1]
         b = a @ x
         right = np.array([float(v) for v in mpmath.lu_solve(high(a), mpmath.matrix(b.tolist()))])
-        ours, theirs = max(ours, off(solve(a, b), right)), max(theirs, off(np.linalg.solve(a, b), right))
-    return ours, theirs
+        own, reference = max(own, off(solve(a, b), right)), max(reference, off(np.linalg.solve(a, b), right))
+    return own, reference
 
 
 TABLE = {
@@ -148,12 +148,12 @@ TABLE = {
 
 @pytest.mark.parametrize(("kernel", "kind"), few(TABLE, 3))
 def test_no_kernel_is_ten_times_worse_than_scipys_and_the_page_has_the_errors(kernel, kind):
-    ours, theirs = TABLE[kernel, kind](kind)
-    assert ours <= max(10.0 * theirs, 4e-15)
+    own, reference = TABLE[kernel, kind](kind)
+    assert own <= max(10.0 * reference, 4e-15)
     row = re.search(rf"^\| {kernel} \| {kind} \| (\S+) \| (\S+) \|$", PAGE.read_text(), re.M)
-    assert row, f"| {kernel} | {kind} | {ours:.0e} | {theirs:.0e} |"
-    for shown, result in zip(row.groups(), (ours, theirs), strict=True):
-        assert max(result, 1e-17) == pytest.approx(max(float(shown), 1e-17), rel=9.0), f"{ours:.0e} {theirs:.0e}"
+    assert row, f"| {kernel} | {kind} | {own:.0e} | {reference:.0e} |"
+    for shown, result in zip(row.groups(), (own, reference), strict=True):
+        assert max(result, 1e-17) == pytest.approx(max(float(shown), 1e-17), rel=9.0), f"{own:.0e} {reference:.0e}"
 
 
 def test_an_exponential_has_its_closed_form():

@@ -130,7 +130,7 @@ def test_the_detector_of_limit_cycles_is_exact_at_its_limits():
     assert x.aside == "only a warning depends on it"
 
 
-def held(*levels):
+def held_levels(*levels):
     """Samples of levels, each for a number of samples."""
     return [y for y, samples in levels for _ in range(samples)]
 
@@ -140,19 +140,19 @@ def test_a_swing_has_ended_after_three_times_the_longest_of_the_newest_eight():
         return [(2.0 * (k % 2), samples) for k in range(times)]
 
     for samples in (2, 3, 5):  # the last swing, up to 2, is known with the first sample of the rest at 0
-        result = fed(held(*up_and_down(samples, 12), (0.0, 40)), 50.0)
+        result = fed(held_levels(*up_and_down(samples, 12), (0.0, 40)), 50.0)
         assert result[12 * samples :] == [2.0] * (3 * samples + 1) + [0.0] * (39 - 3 * samples)
     for later in range(13):  # one swing of five samples among those of two: while it is one of the eight
         levels = [*up_and_down(2, 10), (0.0, 2), (2.0, 5), *up_and_down(2, later), (2.0 * (later % 2), 40)]
-        result = fed(held(*levels), 50.0)
+        result = fed(held_levels(*levels), 50.0)
         longest = 5 if later < 8 else 2
-        assert result.count(0.0) == fed(held(*levels[:-1]), 50.0).count(0.0) + 39 - 3 * longest, later
+        assert result.count(0.0) == fed(held_levels(*levels[:-1]), 50.0).count(0.0) + 39 - 3 * longest, later
 
 
 @pytest.mark.parametrize("anew", ["reference", "rest"])
 def test_swings_before_a_new_reference_or_a_rest_do_not_count(anew):
     """Quick ones follow slow ones: a pause that is shorter than three slow swings ends them."""
-    slow = held(*[(2.0 * (k % 2), 8) for k in range(6)])
+    slow = held_levels(*[(2.0 * (k % 2), 8) for k in range(6)])
     quick = [0.0, 2.0] * 3
     for pause, swings in ((6, True), (20, False)):
         x, results = Swinging(), []
@@ -361,7 +361,7 @@ def test_the_companion_form_of_a_model_has_the_pulse_response_of_its_difference_
 
 
 @pytest.mark.parametrize(
-    ("model", "given", "text"),
+    ("model", "parameters", "text"),
     [
         (GpcControllerParams, {"N1": 12}, "N1 = 12, Np = 11: expected 1 <= N1 <= Np"),
         (GpcControllerParams, {"den": (0.0, 1.0)}, "den = [0.0, 1.0]: expected a first coefficient other than zero"),
@@ -373,9 +373,9 @@ def test_the_companion_form_of_a_model_has_the_pulse_response_of_its_difference_
         (CertificateParams, {"K": (1.0, 2.0), "Qbar": (1.0,) * 3}, "K has 2, Qbar 3 values, expected 2 and 4, or none"),
     ],
 )
-def test_impossible_parameters_are_refused_before_they_are_used(model, given, text):
+def test_impossible_parameters_are_refused_before_they_are_used(model, parameters, text):
     with pytest.raises(ValueError) as refused:  # noqa: PT011
-        model(**given)
+        model(**parameters)
     assert text in str(refused.value)
 
 
@@ -387,7 +387,7 @@ def test_values_at_the_limits_are_accepted():
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("parameters", "text"),
     [
         ({"u_min": 1.0, "u_max": 1.0}, "u_min = 1, u_max = 1: expected u_min < u_max"),
         ({"trip_low": 2.0, "trip_high": 2.0}, "trip_low = 2, trip_high = 2: expected trip_low below"),
@@ -398,9 +398,9 @@ def test_values_at_the_limits_are_accepted():
         ({"N1": 12}, "N1 = 12, Np = 11"),
     ],
 )
-def test_an_impossible_predictive_controller_is_refused(given, text):
+def test_an_impossible_predictive_controller_is_refused(parameters, text):
     with pytest.raises(ParameterError, match=text):
-        GpcController(**given)
+        GpcController(**parameters)
 
 
 def test_a_predictive_controller_trips_beyond_its_limits_and_at_the_third_bad_sample():
@@ -431,8 +431,8 @@ def test_a_predictive_controller_trips_beyond_its_limits_and_at_the_third_bad_sa
 
 
 def test_a_predictive_controller_replaces_a_bad_sample_by_the_prediction_under_the_held_command():
-    given = {"a": (1.0, -0.5), "b": (1.0, 0.25), "set_point": 2.0, "lam": 0.5}
-    law, gpc = ByHand(GpcController(**given)), Gpc(Carima(given["a"], given["b"]), Tuning(weight=0.5))
+    parameters = {"a": (1.0, -0.5), "b": (1.0, 0.25), "set_point": 2.0, "lam": 0.5}
+    law, gpc = ByHand(GpcController(**parameters)), Gpc(Carima(parameters["a"], parameters["b"]), Tuning(weight=0.5))
     x, last = gpc.first(1.5, 0.0), 1.5
     for k, y in enumerate((1.5, 1.0, None, 1.25, None, None, 0.5)):
         if y is None:
@@ -443,15 +443,15 @@ def test_a_predictive_controller_replaces_a_bad_sample_by_the_prediction_under_t
             x = gpc.applied(x, x.u + gpc.move(x, 2.0))
             answer = law.update(k * 10_000_000, measured=(y,), reference=None)
         assert answer["command"] == (x.u,)
-    first = ByHand(GpcController(**given))
+    first = ByHand(GpcController(**parameters))
     assert first.refused(0)["command"] == (0.0,)  # there is no earlier command to hold
-    assert first.update(10_000_000, measured=(1.5,), reference=None) == ByHand(GpcController(**given)).update(
+    assert first.update(10_000_000, measured=(1.5,), reference=None) == ByHand(GpcController(**parameters)).update(
         0, measured=(1.5,), reference=None
     )
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("parameters", "text"),
     [
         ({"topic_in": "a", "topic_out": "a"}, "topic_in and topic_out are both 'a'"),
         ({"fields": ("speed",)}, "fields ['speed'], expected some of ['effort', 'position', 'velocity']"),
@@ -467,9 +467,9 @@ def test_a_predictive_controller_replaces_a_bad_sample_by_the_prediction_under_t
         ({"limits": (1.0,)}, "limits has 1 values, expected 2"),
     ],
 )
-def test_an_impossible_link_is_refused(given, text):
+def test_an_impossible_link_is_refused(parameters, text):
     with pytest.raises(ValueError) as refused:  # noqa: PT011
-        LinkParams(**given)
+        LinkParams(**parameters)
     assert text in str(refused.value)
 
 
@@ -496,8 +496,8 @@ def test_rows_of_a_profile_are_checked():
     class Params(ProfileParams):
         values: tuple[float, ...] = (1.0, 2.0)
 
-    given = Params(channels=("a", "b"), times=(0.0, 1.0), values=(1.0, 2.0, 3.0, 4.0))
-    assert given.rows("values") == [(1.0, 2.0), (3.0, 4.0)]
+    profile = Params(channels=("a", "b"), times=(0.0, 1.0), values=(1.0, 2.0, 3.0, 4.0))
+    assert profile.rows("values") == [(1.0, 2.0), (3.0, 4.0)]
     with pytest.raises(ValueError, match=r"values has 3 values, expected 4 \(2 times, 2 channels\)"):
         Params(channels=("a", "b"), times=(0.0, 1.0), values=(1.0, 2.0, 3.0)).rows("values")
     with pytest.raises(ValueError, match=r"times begins with 0\.5 s, expected 0"):

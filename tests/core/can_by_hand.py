@@ -41,11 +41,11 @@ class Node:
         self.parts.setdefault(tick, {})[message.name] = read
         if len(self.parts[tick]) < self.want:
             return []
-        given = {k: v for part in self.parts.pop(tick).values() for k, v in part.items()}
+        signal_values = {k: v for part in self.parts.pop(tick).values() for k, v in part.items()}
         if tick != self.last:
             if self.last is not None and (tick - self.last) % 65536 > 32767:
                 return []  # an older one
-            self.state, signals = self.step(self.state, tick, given)
+            self.state, signals = self.step(self.state, tick, signal_values)
             self.last, self.parts = tick, {}
             self.answer = [framed(m, {"run": run, "tick": tick} | signals) for m in self.answers]
         return self.answer

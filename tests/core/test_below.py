@@ -59,11 +59,11 @@ def test_a_use_works_here_and_a_changed_one_falls_back(name, monkeypatch):
     assert use.seen
     assert use.instead
 
-    def gone(name):
+    def missing_import(name):
         raise ImportError(name)  # another rclpy
 
     with monkeypatch.context() as other:
-        other.setattr(uses.importlib, "import_module", gone)
+        other.setattr(uses.importlib, "import_module", missing_import)
         other.setattr(uses, "Node", type("Node", (), {"__init__": lambda self: None}))
         uses.works.cache_clear()
         assert not uses.works(name)
@@ -143,8 +143,8 @@ def carried():
     seen, codes = {7: [], 8: []}, iter(())
 
     def publish(publisher, message, allocation):
-        given = message.contents
-        seen[publisher].append(ctypes.string_at(given.buffer, given.length))
+        contents = message.contents
+        seen[publisher].append(ctypes.string_at(contents.buffer, contents.length))
         return next(codes, 0)
 
     made = carrier.Carrier(carrier._PUBLISH(publish))

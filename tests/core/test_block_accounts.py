@@ -39,10 +39,10 @@ from softrig_core.block.schedule import Schedule, rational
 from softrig_core.wire.cdr import Layout
 
 
-def said(function, *given, **words):
+def outcome(function, *arguments, **words):
     """The result of a function, or the line of its error."""
     try:
-        return repr(function(*given, **words))
+        return repr(function(*arguments, **words))
     except (ValueError, TypeError) as error:
         return f"{type(error).__name__}: {error}"
 
@@ -73,11 +73,11 @@ def test_a_schedule_is_a_list_of_stamps(seed):
         near = {t + d for t in first[1:-1] for d in (-1, 0, 1)} | {rng.randrange(first[-1] + 1) for _ in range(9)}
         for t in near:
             if first[0] <= t < first[-1]:
-                held = max(s for s in first if s <= t)
-                assert schedule.held(t) == held
+                node = max(s for s in first if s <= t)
+                assert schedule.held(t) == node
                 assert schedule.next(t) == min(s for s in first if s > t)
                 assert schedule.due(t) == (t in first)
-                assert schedule.awaited(t) == min(held, schedule.last)
+                assert schedule.awaited(t) == min(node, schedule.last)
                 assert schedule.before(t) == max(s for s in stamps if s < t)
                 assert schedule.tick(t) == math.floor(Fraction(t) / ns + Fraction(1, 2))
         begin = rng.choice(
@@ -92,9 +92,9 @@ def test_a_schedule_is_a_list_of_stamps(seed):
 def test_runs_that_are_too_short_or_infinite_are_refused():
     half = Fraction(1, 2 * 10**9)
     assert Schedule("0.01", None, Fraction(1, 100) - half).ticks == 1
-    assert said(Schedule, "0.01", None, 0.009999999).startswith("ValueError: duration 0.01 s is shorter")
-    assert said(Schedule, "0.01", "0.02") == "ValueError: period 0.01 s is not a multiple of the 0.02 s of the clock"
-    assert said(Schedule("0.01").count) == "ValueError: the run has no end"
+    assert outcome(Schedule, "0.01", None, 0.009999999).startswith("ValueError: duration 0.01 s is shorter")
+    assert outcome(Schedule, "0.01", "0.02") == "ValueError: period 0.01 s is not a multiple of the 0.02 s of the clock"
+    assert outcome(Schedule("0.01").count) == "ValueError: the run has no end"
     assert (Schedule("0.01").last, Schedule("0.01", None, 0.0).ticks, Schedule("0.01").awaited(10**12)) == (
         None,
         None,
@@ -158,11 +158,11 @@ def test_ports_are_as_expected():
         {"fields": ()},
         {"units": ("m", "m"), "also": ("p", "q")},
     ):
-        reported = said(Port, "a", "t", "sensor_msgs/msg/JointState", **kinds | keys)
+        reported = outcome(Port, "a", "t", "sensor_msgs/msg/JointState", **kinds | keys)
         lines.append(f"{keys}: {reported if 'Error' in reported else 'a port'}")
-    lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), partial=True))
-    lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), also=("x",)))
-    lines.append(said(Port, "a", "t", "std_msgs/msg/Float64MultiArray", fields=("data",), units=()))
+    lines.append(outcome(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), partial=True))
+    lines.append(outcome(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), also=("x",)))
+    lines.append(outcome(Port, "a", "t", "std_msgs/msg/Float64MultiArray", fields=("data",), units=()))
     check_expected("ports", lines)
 
 
@@ -234,22 +234,22 @@ def test_a_mismatch_is_reported_as_expected():
         "more channels than a partial one has": (two, joint_state("a", "t", ["x"], position="m", partial=True)),
         "fields that are not filled": (two, joint_state("a", "t", ["x", "y"], effort="N")),
     }
-    lines = [f"{name}: {said(selection, *pair)}" for name, pair in pairs.items()]
+    lines = [f"{name}: {outcome(selection, *pair)}" for name, pair in pairs.items()]
     lines += [
-        f"bytes, {name}: {said(Decoder(sink), s.layout().encode(3, (1.0,) * s.layout().size))}"
+        f"bytes, {name}: {outcome(Decoder(sink), s.layout().encode(3, (1.0,) * s.layout().size))}"
         for name, (s, sink) in pairs.items()
         if name != "another type"
     ]
     named = joint_state("a", "t", ["x", "y"], position="m", also=("p", "q"))
     for names in (("p", "q"), ("q", "p"), ("x", "p"), ("x", "x"), ()):
         message = joints(names or ["n"])
-        lines.append(f"names {names}: {said(Decoder(named), message)}")
+        lines.append(f"names {names}: {outcome(Decoder(named), message)}")
     partial = joint_state("a", "t", ["x", "y"], position="m", partial=True)
     for names in (("x",), ("y", "x"), ("x", "x"), ("z",)):
         message = joints(names)
-        lines.append(f"partial {names}: {said(Decoder(partial), message)}")
-    lines.append(f"cut: {said(Decoder(two), two.layout().encode(3, (1.0, 2.0))[:-3])}")
-    lines.append(f"too large: {said(Decoder(two), two.layout().encode(3, (1.0, 2e9)))}")
+        lines.append(f"partial {names}: {outcome(Decoder(partial), message)}")
+    lines.append(f"cut: {outcome(Decoder(two), two.layout().encode(3, (1.0, 2.0))[:-3])}")
+    lines.append(f"too large: {outcome(Decoder(two), two.layout().encode(3, (1.0, 2e9)))}")
     check_expected("refused", lines)
 
 
@@ -358,7 +358,7 @@ def test_parameters_are_as_expected():
         for d in declarations(Every)
     ]
     for values in GIVEN:
-        short = ", ".join(f"{k} = {v if len(said(lambda v=v: v)) < 40 else 'much'}" for k, v in values.items())
+        short = ", ".join(f"{k} = {v if len(outcome(lambda v=v: v)) < 40 else 'much'}" for k, v in values.items())
         try:
             result = build(Every, values)
         except ParameterError as error:
@@ -369,7 +369,9 @@ def test_parameters_are_as_expected():
         lines.append(f"{short}: changes {new}")
         if len(differing(result)) < 300:
             lines.append(f"  {differing(result)!r}")
-    lines += [f"{steps} steps: {said(check_steps, steps / 1024, 1 / 1024, 'substep')}" for steps in (100_000, 100_001)]
+    lines += [
+        f"{steps} steps: {outcome(check_steps, steps / 1024, 1 / 1024, 'substep')}" for steps in (100_000, 100_001)
+    ]
     check_expected("parameters", lines)
 
 
@@ -398,12 +400,12 @@ class Counting(Block[Every]):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_block_that_goes_back_is_as_it_was(seed):
     """Ticks, changes, dropped ticks, going back: against an independent list of states."""
-    rng, held, kept = random.Random(seed), ByHand(Counting()), []
+    rng, node, kept = random.Random(seed), ByHand(Counting()), []
     count, gain, own, reports = 0, 0.4, 0.4, {}
     for _ in range(60):
         what = rng.choice(["tick", "tick", "tick", "drop", "change", "keep", "back"])
         if what == "tick":
-            assert held.update(0) == {"out": (float(count),)}
+            assert node.update(0) == {"out": (float(count),)}
             if count % 3 == 2:
                 key = f"key {count % 2}"
                 reports[key] = (Level.WARN, f"tick {count}", reports.get(key, (0, 0, 0))[2] + 1)
@@ -411,40 +413,40 @@ def test_a_block_that_goes_back_is_as_it_was(seed):
                 reports.pop("key 1", None)
             count += 1
         elif what == "drop":
-            held.block.report(Level.ERROR, "lost", "never told")
-            held.drop()
+            node.block.report(Level.ERROR, "lost", "never told")
+            node.drop()
         elif what == "change":
             own, gain = round(rng.uniform(0.1, 4.0), 3), own
-            held.change(Every(R=own))
+            node.change(Every(R=own))
             gain = own - gain
         elif what == "keep":
-            kept.append((held.save(), count, gain, own, dict(reports)))
+            kept.append((node.save(), count, gain, own, dict(reports)))
         elif kept:
             state, count, gain, own, reports = rng.choice(kept)
             reports = dict(reports)
-            held.load(state)
-        assert held.x == (count, gain)
-        assert (held.params.R, held.block.p.R, held.reports) == (own, own, reports)
-        assert held.block.events == []
-    held.reset(3)
-    assert (held.x, held.reports, held.anew) == ((0, own), {}, set())
+            node.load(state)
+        assert node.x == (count, gain)
+        assert (node.params.R, node.block.p.R, node.reports) == (own, own, reports)
+        assert node.block.events == []
+    node.reset(3)
+    assert (node.x, node.reports, node.anew) == ((0, own), {}, set())
 
 
 def test_reports_are_collected_by_the_caller_of_the_block():
     block = Counting()
     block.report(Level.WARN, "a", "before it is held")
-    held = ByHand(block)
-    assert (held.reports, block.events) == ({}, [])
+    node = ByHand(block)
+    assert (node.reports, block.events) == ({}, [])
     block.report(Level.WARN, "a", "first")
     block.report(Level.ERROR, "a", "second", anew=True)
     assert block.events == [(Level.WARN, "a", "first", False), (Level.ERROR, "a", "second", True)]
-    held.store_reports()
-    assert (held.reports, held.anew, block.events) == ({"a": (Level.ERROR, "second", 2)}, {"a"}, [])
+    node.store_reports()
+    assert (node.reports, node.anew, block.events) == ({"a": (Level.ERROR, "second", 2)}, {"a"}, [])
     block.withdraw("a")
     block.withdraw("none")
     assert block.events == [(None, "a", "", False), (None, "none", "", False)]
-    held.store_reports()
-    assert (held.reports, block.age("any"), block.health(), block.latched(), block.markers()) == ({}, 0, {}, {}, ())
+    node.store_reports()
+    assert (node.reports, block.age("any"), block.health(), block.latched(), block.markers()) == ({}, 0, {}, {}, ())
 
 
 def test_a_sample_before_the_first_message_has_time_zero():

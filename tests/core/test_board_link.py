@@ -257,16 +257,16 @@ def linked_rig(firmware, port, **more):
 def test_a_rig_with_a_board_over_a_pty_equals_the_rig_without(firmware):
     pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
     folder, name, *_ = firmware
-    here, there = pty.openpty()
-    tty.setraw(there)
-    board = subprocess.Popen([folder / name], stdin=here, stdout=here)
+    near_end, far_end = pty.openpty()
+    tty.setraw(far_end)
+    board = subprocess.Popen([folder / name], stdin=near_end, stdout=near_end)
     try:
-        result = recorded(linked_rig(firmware, os.ttyname(there)), duration=1.0)
+        result = recorded(linked_rig(firmware, os.ttyname(far_end)), duration=1.0)
     finally:
         board.kill()
         board.wait()
-        os.close(here)
-        os.close(there)
+        os.close(near_end)
+        os.close(far_end)
     assert result == recorded(SCENARIO, duration=1.0)
 
 
@@ -399,21 +399,21 @@ def test_a_port_that_cannot_be_opened_ends_the_run_with_one_line(firmware):
 def test_a_link_costs_little_beside_the_bare_port(firmware):
     serial = pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
     folder, name, layout, steps, answers = firmware
-    here, there = pty.openpty()
-    tty.setraw(there)
-    board = subprocess.Popen([folder / name], stdin=here, stdout=here)
+    near_end, far_end = pty.openpty()
+    tty.setraw(far_end)
+    board = subprocess.Popen([folder / name], stdin=near_end, stdout=near_end)
     build, params = build_of(firmware)
     rounds = []
     try:
-        line = Line("pty", lambda: opened(os.ttyname(there), 115200), build, 0.5)
+        line = Line("pty", lambda: opened(os.ttyname(far_end), 115200), build, 0.5)
         line.begin(params)
         line.ask(Kind.STEP, steps[0])
-        bare = serial.Serial(os.ttyname(there), 115200, timeout=1.0)
+        bare = serial.Serial(os.ttyname(far_end), 115200, timeout=1.0)
         for _ in range(7):
             begun = time.perf_counter()
             for step in steps:
                 line.ask(Kind.STEP, step)
-            ours = time.perf_counter() - begun
+            elapsed = time.perf_counter() - begun
             # the same bytes: the newest frame again, whose answer the board still has
             frame = written(line._number, Kind.STEP, steps[-1], line._session)
             size = len(written(line._number, Kind.ANSWER, answers[-1], line._session)) - 1
@@ -421,12 +421,12 @@ def test_a_link_costs_little_beside_the_bare_port(firmware):
             for _ in steps:
                 bare.write(frame)
                 assert len(bare.read(size)) == size
-            rounds.append(ours / (time.perf_counter() - begun))
+            rounds.append(elapsed / (time.perf_counter() - begun))
     finally:
         board.kill()
         board.wait()
-        os.close(here)
-        os.close(there)
+        os.close(near_end)
+        os.close(far_end)
     print(f"{statistics.median(rounds):.2f} times the bare port; {layout.step.size} bytes of values to the board")
     assert statistics.median(rounds) <= 1.5
 

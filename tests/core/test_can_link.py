@@ -54,9 +54,9 @@ def line_of(own, bus, build=BUILD, timeout=0.05):
     return line.use(messages_of(file, "n", *ports, BUILD), Build(build, (1, 100), layout_of(ports)), timeout)
 
 
-def total(state, tick, given):
+def total(state, tick, signals):
     """A node whose answer shows each request that it has received."""
-    return state + given["u_v_position"], {"y_w_position": state + given["u_v_position"], "y_i_position": tick}
+    return state + signals["u_v_position"], {"y_w_position": state + signals["u_v_position"], "y_i_position": tick}
 
 
 def node_of(own, step=total):
@@ -90,7 +90,7 @@ def test_no_disturbed_bus_gives_a_wrong_answer_in_lockstep(own, frames, seed):
 @pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 3), pytest.param(MANY, 4, marks=pytest.mark.long)])
 def test_real_time_accepts_the_answer_to_its_tick_or_none(own, frames, seed):
     rng, ports = random.Random(seed), own[1]
-    node = node_of(own, lambda x, tick, given: (x, {"y_w_position": given["u_v_position"], "y_i_position": tick}))
+    node = node_of(own, lambda x, tick, signals: (x, {"y_w_position": signals["u_v_position"], "y_i_position": tick}))
     bus = Bus(rng, 0.2, node, pulled=0.002)
     line = line_of(own, bus)
     used = 0
@@ -126,7 +126,7 @@ def test_another_build_and_a_second_node_are_refused(own, tmp_path):
     other = Node(file_of(tmp_path / "other", own[1], "00000001"), "n", total, float)
     with pytest.raises(RunError, match="has build 00000001, expected 0badcafe"):
         asked(line_of(own, Bus(random.Random(0), 0.0, other)), own[1], 0, 1.0)
-    twin = node_of(own, lambda x, tick, given: (x, {"y_w_position": -7.0, "y_i_position": 0.0}))
+    twin = node_of(own, lambda x, tick, signals: (x, {"y_w_position": -7.0, "y_i_position": 0.0}))
     line = line_of(own, Bus(random.Random(0), 0.0, node_of(own), twin))
     asked(line, own[1], 0, 1.0)
     with pytest.raises(RunError, match="two answers to tick 0 at can:test differ"):
@@ -326,11 +326,11 @@ class Peer(threading.Thread):
         self.bus.shutdown()
 
     def step(self, x, tick, read):
-        given, values = {}, {}
+        signals, values = {}, {}
         for p in self.inputs:
             row = tuple(read[f"{p.name}_{label}".replace("/", "_")] for label in p.labels)
-            given[p.name] = None if p.held and not read[f"{p.name}_given"] else row
-        x, outputs = self.block.update(x, tick * self.period, **given)
+            signals[p.name] = None if p.held and not read[f"{p.name}_given"] else row
+        x, outputs = self.block.update(x, tick * self.period, **signals)
         for p in self.outputs:
             row = outputs.get(p.name)
             values |= {f"{p.name}_given": row is not None} if p.sporadic else {}
@@ -460,9 +460,9 @@ def test_the_node_in_c_answers_a_disturbed_bus_as_the_block_does(coded):
         x = block.first()
         for k in range(20):
             w, i, r = single([rng.uniform(-20.0, 20.0), rng.uniform(-3.0, 3.0), rng.choice([5.0, 10.0])])
-            given = {"state": (w,), "sensors": (0.0, i), "reference": (r,) if k % 3 else None}
-            x, wanted = block.update(x, k * 10**7, **given)
-            answer = layout.answer.unpack(line.ask(Kind.STEP, layout.step.pack(k * 10**7, *layout.numbers(given))))
+            inputs = {"state": (w,), "sensors": (0.0, i), "reference": (r,) if k % 3 else None}
+            x, wanted = block.update(x, k * 10**7, **inputs)
+            answer = layout.answer.unpack(line.ask(Kind.STEP, layout.step.pack(k * 10**7, *layout.numbers(inputs))))
             assert list(answer[1:]) == single([*wanted["command"], *wanted["surface"]])
             answered += 1
     assert answered > 100
@@ -491,13 +491,15 @@ def test_a_signal_with_a_range_is_packed_in_c_as_softrig_packs_it(coded, tmp_pat
         node.power()
         hello, _ = encoded(messages.hello, {"run": 7}, [int(build, 16)])
         assert len(node.feed(can.Message(arbitration_id=0x100, is_extended_id=False, data=hello))) == 1
-        given = {"state": (w,), "sensors": (0.0, 0.5), "reference": (10.0,)}
-        wanted = block.update(block.first(), 0, **given)[1]
-        row = Layout(*ports, {}, plant=False, single=False).numbers(given)
+        inputs = {"state": (w,), "sensors": (0.0, 0.5), "reference": (10.0,)}
+        wanted = block.update(block.first(), 0, **inputs)[1]
+        row = Layout(*ports, {}, plant=False, single=False).numbers(inputs)
         answers = []
         for frame in messages.to:
             data, _ = encoded(frame, {"tick": 0, "run": 7}, row)
             answers += node.feed(can.Message(arbitration_id=frame.key[0], is_extended_id=False, data=data))
-        mine = [*wanted["command"], *wanted["surface"]]
-        assert [bytes(a.data) for a in answers] == [encoded(f, {"tick": 0, "run": 7}, mine)[0] for f in messages.back]
-        assert len(values_of(ports[1], "sporadic")) == len(mine)
+        expected = [*wanted["command"], *wanted["surface"]]
+        assert [bytes(a.data) for a in answers] == [
+            encoded(f, {"tick": 0, "run": 7}, expected)[0] for f in messages.back
+        ]
+        assert len(values_of(ports[1], "sporadic")) == len(expected)

@@ -65,18 +65,18 @@ CASES = {  # scenario, duration, changes, further keys
 def test_a_scripted_change_gives_the_same_bytes_in_every_placement(case):
     name, duration, changes, keys = CASES[case]
     rig = changed_rig(name, duration, changes, **keys)
-    here = in_process(rig)
+    second = in_process(rig)
     unchanged = in_process(changed_rig(name, duration, {}, **keys))
-    assert differences(unchanged, here)
+    assert differences(unchanged, second)
     first = min(changes)
     for topic in unchanged.topics:  # nothing before the first change differs, and nothing waits a tick longer
-        k = sum(t < first * 1e9 for t in here.topics[topic].times)
-        assert here.topics[topic].data[:k] == unchanged.topics[topic].data[:k]
+        k = sum(t < first * 1e9 for t in second.topics[topic].times)
+        assert second.topics[topic].data[:k] == unchanged.topics[topic].data[:k]
     names = [m.name for m in rig.members]
     for groups in ((), [names], [names[::2]]):
         run = SimulatedRig(rig, World(), "lockstep", groups=groups)
         assert set(run.run().values()) == {"done"}
-        assert not differences(here, run.recording), groups
+        assert not differences(second, run.recording), groups
 
 
 def test_a_change_takes_effect_at_the_first_tick_that_is_not_earlier():
@@ -306,9 +306,9 @@ def test_a_sporadic_sender_is_compared_up_to_two_of_its_ticks_before_the_end(tmp
     whole, cut = in_process(rig), in_process(rig)
     assert max(t.times[-1] for t in whole.topics.values() if t.times) == 200_000_000
     del cut.topics["lag/burst"].times[-1], cut.topics["lag/burst"].data[-1]
-    for there, here in ((whole, cut), (cut, whole)):
-        before = Recalled(tmp_path, Namespace(), tmp_path, there, 0, {}, {})
-        same, text = compared(before, Run(rig, 0, here), {})
+    for first, second in ((whole, cut), (cut, whole)):
+        before = Recalled(tmp_path, Namespace(), tmp_path, first, 0, {}, {})
+        same, text = compared(before, Run(rig, 0, second), {})
         assert same is not reported, text
         assert (f"differs from {tmp_path}: lag/burst from t = {at:g} s; " in text[0]) is reported
 
@@ -351,19 +351,19 @@ def test_a_fault_that_is_switched_off_is_off_whoever_switched_it_on():
     params = {"topic_in": "axis/state", "fields": ("position",), "kind": "offset", "value": (2.0,), "active": False}
     fault = ByHand(load_block("softrig_control", "fault")(**params))
 
-    def said(t, pressed=False):
+    def published(t, pressed=False):
         return fault.update(t, sent=(1.0,), toggle=(float(pressed),))["arrived"][0]
 
-    assert said(0) == 1.0
-    assert said(1, pressed=True) == 3.0
+    assert published(0) == 1.0
+    assert published(1, pressed=True) == 3.0
     assert fault.params.active
-    assert said(2) == 3.0
+    assert published(2) == 3.0
     fault.change(permit(type(fault.block), fault.params, {"active": False}))  # the value of the start
-    assert said(3) == 1.0
+    assert published(3) == 1.0
     fault.change(permit(type(fault.block), fault.params, {"active": True}))
-    assert [said(4), said(5, pressed=True)] == [3.0, 1.0]
+    assert [published(4), published(5, pressed=True)] == [3.0, 1.0]
     fault.reset(0)
-    assert said(6) == 3.0  # the parameters of now, without the button
+    assert published(6) == 3.0  # the parameters of now, without the button
 
 
 def test_references_in_changes_refer_to_the_parameters_at_the_start(tmp_path):

@@ -56,8 +56,8 @@ def test_a_written_port_is_read_back_bit_for_bit(port, data, stamp):
 def test_a_message_has_the_frame_world_unless_its_port_names_another():
     text = joint_state("a", "t", ("x",), position="m").layout().encode(5, (1.0,))
     assert parse("sensor_msgs/msg/JointState", text).frame_id == "world"
-    for theirs in (text, joint_message(5, ["x"], (1.0,)), joint_message(5, ["x"], (1.0,), frame="map")):
-        assert Decoder(joint_state("b", "t", ("x",), position="m"))(theirs) == (5, (1.0,))
+    for foreign in (text, joint_message(5, ["x"], (1.0,)), joint_message(5, ["x"], (1.0,), frame="map")):
+        assert Decoder(joint_state("b", "t", ("x",), position="m"))(foreign) == (5, (1.0,))
     placed = wrench("a", "t", "foot").layout().encode(5, (0.0,) * 6)
     assert parse("geometry_msgs/msg/WrenchStamped", placed).frame_id == "foot"
     assert number("a", "t", "V").frame == ""
@@ -404,8 +404,8 @@ def test_a_number_has_at_most_twelve_digits_and_leading_zeros_are_optional():
         ("row; sequence -1", ("row; sequence -1", None)),
         ("a\nb; sequence 1; sequence 2", ("a\nb; sequence 1", 2)),
     ):
-        theirs = Layout(layout.msgtype, dims=((label, 1),), counts={"data": 1}).encode(0, (1.0,))
-        message = parse(layout.msgtype, theirs)
+        foreign = Layout(layout.msgtype, dims=((label, 1),), counts={"data": 1}).encode(0, (1.0,))
+        message = parse(layout.msgtype, foreign)
         assert (message.dims[0][0], message.number) == result
     second = Layout(layout.msgtype, dims=(("a", 1), ("b; sequence 3", 1)), counts={"data": 1}).encode(0, (1.0,))
     assert parse(layout.msgtype, second).number is None  # of the first dimension only

@@ -72,13 +72,13 @@ def test_wrong_use_is_refused():
 
 def test_a_call_of_another_thread_in_the_middle_changes_nothing():
     """Runs of one robot share their functions, also when a user's threads run them at the same time."""
-    step, here, there = Compiled(pendulum()), (0.1, 1.0, 0.05), (0.7, -2.0, 3.0)
-    alone, pack = {x: step(x) for x in (here, there)}, step._pack
+    step, first, second = Compiled(pendulum()), (0.1, 1.0, 0.05), (0.7, -2.0, 3.0)
+    alone, pack = {x: step(x) for x in (first, second)}, step._pack
 
-    def interrupted(*given):
-        pack(*given)
+    def interrupted(*arguments):
+        pack(*arguments)
         step._pack = pack
-        assert step(there) == alone[there]
+        assert step(second) == alone[second]
 
     step._pack = interrupted
-    assert step(here) == alone[here] != alone[there]
+    assert step(first) == alone[first] != alone[second]

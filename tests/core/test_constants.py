@@ -133,9 +133,9 @@ def test_setup_change_reset_and_code_outside_may_write():
     assert ByHand(block).update(0) == {"u": (7.0,)}
 
     class Late(Law):
-        def __init__(self, *given, **values):
+        def __init__(self, *arguments, **values):
             self.early = 1
-            super().__init__(*given, **values)
+            super().__init__(*arguments, **values)
             self.late = 2
 
     assert (Late().early, Late().late) == (1, 2)

@@ -232,8 +232,8 @@ def test_in_process_there_is_one_message_a_tick_and_runs_repeat(lag_rig):
 
 def test_a_run_reports_its_progress_about_a_hundred_times_and_at_its_end(monkeypatch):
     """2.05 s / 100 is about two of its ticks of 10 ms, so each third tick; the last tick is none of these."""
-    monkeypatch.setattr(choice, "unwanted", lambda *given: choice.SHORT)  # on a busy machine ticks would look dear
-    monkeypatch.setattr(choice, "writes", lambda *given: False)
+    monkeypatch.setattr(choice, "unwanted", lambda *arguments: choice.SHORT)  # on a busy machine ticks would look dear
+    monkeypatch.setattr(choice, "writes", lambda *arguments: False)
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.05))
     messages = []
     run_inprocess(rig, 0, progress=messages.append)
@@ -353,16 +353,16 @@ def test_rows_of_numbers_in_a_shard_are_read_as_their_messages(tmp_path_factory,
     head, expected = path.stat().st_size, {name: [] for name, _ in topics}
     size = head
 
-    def said():
+    def warnings_of_run():
         return path.stat().st_size + len(writer._buffer)
 
     for row in rows:  # a message from outside may come between two rows
-        before = said()
+        before = warnings_of_run()
         if isinstance(row, bytes):
             writer.add(1, 5, row)
         else:
             writer.add_row(row[0], (row[1], *row[2]))
-        expected["end"] = [*expected.get("end", []), (said() - before, row)]
+        expected["end"] = [*expected.get("end", []), (warnings_of_run() - before, row)]
     writer.close()
     whole = path.read_bytes()
     path.write_bytes(whole[: max(head, len(whole) - cut)])
@@ -403,18 +403,18 @@ def test_the_first_message_of_a_shard_is_written_immediately_and_the_next_togeth
     path = tmp_path / "x.shard"
     writer = ShardWriter(path, [("a", "std_msgs/msg/Float64")])
 
-    def there():
+    def is_ready():
         recording = Recording([("a", "std_msgs/msg/Float64")])
         recording.read_shard(path)
         return recording.topics["a"].times
 
-    assert there() == []
+    assert is_ready() == []
     writer.add(0, 1, b"first")
-    assert there() == [1]
+    assert is_ready() == [1]
     writer.add(0, 2, b"second")
-    assert there() == [1]
+    assert is_ready() == [1]
     writer.flush()
-    assert there() == [1, 2]
+    assert is_ready() == [1, 2]
 
 
 def test_a_shard_cut_in_its_head_has_no_messages(tmp_path):

@@ -32,18 +32,18 @@ def port(folder, number, prefix="fastrtps", kind=SHARED):
 
 def locked(path, offset, *, dies):
     """Lock a mutex of a port in another process, which is a zombie at once or lives on; return its pid."""
-    ready, told = os.pipe()
+    ready, write_end = os.pipe()
     if not (pid := os.fork()):
         with path.open("r+b") as file:
             segment = mmap.mmap(file.fileno(), 0)
             LIBC.pthread_mutex_lock(ctypes.byref(ctypes.c_char.from_buffer(segment, PLACE + offset)))
-        os.write(told, b"1")
+        os.write(write_end, b"1")
         while not dies:
             signal.pause()
         os._exit(0)
     os.read(ready, 1)
     os.close(ready)
-    os.close(told)
+    os.close(write_end)
     if dies:
         os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
     return pid
@@ -84,17 +84,17 @@ def test_a_lock_of_a_dead_process_is_freed_at_the_second_look(looks, tmp_path, p
 
 def test_locks_of_the_living_and_those_of_others_stay(looks, tmp_path):
     number = of_domain(DOMAIN)[11]
-    held = port(tmp_path, number)
+    owned_port = port(tmp_path, number)
     strange = port(tmp_path, number + 2, kind=0)  # a file with another layout
     other = port(tmp_path, of_domain(DOMAIN + 1)[11])
     cut = tmp_path / f"fastrtps_port{number + 4}"
-    cut.write_bytes(held.read_bytes()[:300])
-    (tmp_path / f"fastrtps_port{number + 6}").symlink_to(held)
-    pids = [locked(held, MUTEXES[1], dies=False)]
+    cut.write_bytes(owned_port.read_bytes()[:300])
+    (tmp_path / f"fastrtps_port{number + 6}").symlink_to(owned_port)
+    pids = [locked(owned_port, MUTEXES[1], dies=False)]
     pids += [locked(path, MUTEXES[0], dies=True) for path in (strange, other)]
     try:
         assert [looks() for _ in range(4)] == [0] * 4
-        assert not any((free(held, MUTEXES[1]), free(strange, MUTEXES[0]), free(other, MUTEXES[0])))
+        assert not any((free(owned_port, MUTEXES[1]), free(strange, MUTEXES[0]), free(other, MUTEXES[0])))
     finally:
         os.kill(pids[0], signal.SIGKILL)
         for pid in pids:

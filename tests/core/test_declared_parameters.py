@@ -142,8 +142,8 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
             if isinstance(number, float | int):
                 assert math.isfinite(number)
                 assert declared[name].lower is None or declared[name].lower <= number <= declared[name].upper
-        there = before[name] != Parameter.Type.NOT_SET
-        assert there <= len(node.offered[GetParameters](names=[name]).values)
+        was_set = before[name] != Parameter.Type.NOT_SET
+        assert was_set <= len(node.offered[GetParameters](names=[name]).values)
         assert len(node.offered[GetParameterTypes](names=[name]).types) == 1
         assert [d.name for d in node.offered[DescribeParameters](names=[name]).descriptors] == [name]
     assert set(node.offered[ListParameters](depth=0).result.names) == before.keys()

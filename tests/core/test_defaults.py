@@ -50,10 +50,10 @@ def public(package):
 NUMBER = bool | int | float
 
 
-def told(value):
+def text_of(value):
     """A number, or an object of numbers, as text; a TypeError for anything else."""
     if hasattr(value, "tolist"):
-        return told(value.tolist())
+        return text_of(value.tolist())
     if isinstance(value, float | complex):
         return f"{value:.12g}"
     if isinstance(value, int) and not isinstance(value, bool):
@@ -61,9 +61,9 @@ def told(value):
     if isinstance(value, bool | str | None):
         return repr(value)
     if isinstance(value, tuple | list):
-        return f"({', '.join(told(v) for v in value)})"
+        return f"({', '.join(text_of(v) for v in value)})"
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{told(k)}: {told(v)}' for k, v in value.items())}}}"
+        return f"{{{', '.join(f'{text_of(k)}: {text_of(v)}' for k, v in value.items())}}}"
     raise TypeError
 
 
@@ -73,7 +73,7 @@ def constants(name, home, names):
         value = getattr(home, constant, None)
         value = value.value if isinstance(value, Enum) else value
         try:
-            words = told(value)
+            words = text_of(value)
         except TypeError:
             continue
         if not isinstance(value, str) and any(c.isdigit() for c in words) and len(words) < LONG and "'/" not in words:
@@ -83,8 +83,8 @@ def constants(name, home, names):
 def parameter(field):
     """Default and bounds of a parameter, and whether it may change during a run."""
     bounds = [f"{name} {getattr(m, name):.12g}" for m in field.metadata for name in BOUNDS if hasattr(m, name)]
-    more = [f"{name} {told(value)}" for name, value in (field.json_schema_extra or {}).items() if name != "unit"]
-    return ", ".join([told(field.default), *bounds, *more])
+    more = [f"{name} {text_of(value)}" for name, value in (field.json_schema_extra or {}).items() if name != "unit"]
+    return ", ".join([text_of(field.default), *bounds, *more])
 
 
 def defaults(package):
@@ -98,7 +98,7 @@ def defaults(package):
         if inspect.isclass(result) and not hasattr(result, "model_fields"):
             yield from constants(name, result, [k for k in vars(result) if not k.startswith("_")])
             named = getattr(result, "_field_defaults", {})  # defaults of a named tuple
-            yield from (f"{name}.{k} = {told(v)}" for k, v in named.items() if isinstance(v, NUMBER))
+            yield from (f"{name}.{k} = {text_of(v)}" for k, v in named.items() if isinstance(v, NUMBER))
     for name, result in public(package):
         if fields := getattr(result, "model_fields", None):
             own = inspect.get_annotations(result)
@@ -108,8 +108,8 @@ def defaults(package):
                 except TypeError:
                     continue
         elif inspect.isfunction(result) and not getattr(result, "__wrapped__", None):
-            given = inspect.signature(result).parameters.values()
-            yield from (f"{name}({p.name} = {p.default!r})" for p in given if isinstance(p.default, NUMBER))
+            signature = inspect.signature(result).parameters.values()
+            yield from (f"{name}({p.name} = {p.default!r})" for p in signature if isinstance(p.default, NUMBER))
 
 
 @pytest.mark.parametrize("package", PACKAGES)

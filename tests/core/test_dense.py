@@ -110,13 +110,15 @@ print(digest.hexdigest(), "numba" in sys.modules)
 
 @pytest.mark.long
 def test_native_plain_and_every_kernel_give_the_same_bits():
-    def said(before="", **variables):
+    def choice(before="", **variables):
         done = subprocess.run([sys.executable, "-c", before + CODE], capture_output=True, text=True, check=True,
                               env=os.environ | variables)  # fmt: skip
         return done.stdout.split()
 
-    native, compiled = said("import numba\n")
-    plain, loaded = said(SOFTRIG_JIT="0")
+    native, compiled = choice("import numba\n")
+    plain, loaded = choice(SOFTRIG_JIT="0")
     assert (compiled, loaded) == ("True", "False")
     assert native == plain
-    assert said(OPENBLAS_CORETYPE="Prescott", NPY_ENABLE_CPU_FEATURES="X86_V2", NPY_DISABLE_CPU_FEATURES="")[0] == plain
+    assert (
+        choice(OPENBLAS_CORETYPE="Prescott", NPY_ENABLE_CPU_FEATURES="X86_V2", NPY_DISABLE_CPU_FEATURES="")[0] == plain
+    )

@@ -81,7 +81,7 @@ def start(kind, seed, outside=(), stalls=0, bare=False):
     Outside nodes come when they like, make their endpoints one after the other and read what they like.
     """
     rng = random.Random(seed)
-    ours, expected = rig_and_record(kind)
+    rig_here, expected = rig_and_record(kind)
     rig = with_guests(kind, outside)
     longest = rng.choice((1, 5, 20)) * MS
     world = World(lambda *_: rng.randrange(1_000, longest), prompt=perhaps_prompt(seed))
@@ -90,11 +90,11 @@ def start(kind, seed, outside=(), stalls=0, bare=False):
         rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), start_timeout=0.0, groups=some(rig, rng)
     )
     strangers = []
-    for member in (m for m in ours.members if m.name in outside):
+    for member in (m for m in rig_here.members if m.name in outside):
         reads = [p for p in member.inputs if p.name in member.links and member.links[p.name].source.name not in outside]
         calls = [p for p in reads if not member.links[p.name].port.sporadic]
         reads = [p for p in reads if p in calls[:1] or rng.random() < 0.5] if calls else []
-        about = ours, member, expected, world, reads, partial(rng.randrange, (300 if bare else 100) * MS)
+        about = rig_here, member, expected, world, reads, partial(rng.randrange, (300 if bare else 100) * MS)
         world.at(
             world.now + rng.randrange(1_000 * MS),
             lambda about=about: strangers.append(SimulatedOutside(*about, bare=bare)),
@@ -151,10 +151,10 @@ def test_a_node_that_is_stopped_while_an_outside_node_is_awaited_makes_no_reques
     for adapter in waiting:
         assert "published" in adapter.account.status()
 
-        def gone():
+        def left_graph():
             raise RuntimeError
 
-        adapter.middleware.topics = gone
+        adapter.middleware.topics = left_graph
         assert conclude(adapter, stopped=True) == 0
         assert adapter.account.status()["state"] == "done"
 
@@ -308,14 +308,14 @@ def called(kind, rng):
 def real_time(kind, seed, outside=(), stalls=0):
     """One run in real time with random orders: each of our nodes has counted the ticks at which it did not publish."""
     rng = random.Random(seed)
-    ours, expected = rig_and_record(kind)
+    rig_here, expected = rig_and_record(kind)
     rig = with_guests(kind, outside)
     longest = rng.choice((1, 5, 20)) * MS
     world = World(lambda *_: rng.randrange(1_000, longest))
     Discovery(world, rng)
     run = SimulatedRig(rig, world, "realtime", departs=True, after=lambda name: rng.randrange(300 * MS),
                        start_timeout=0.0, groups=some(rig, rng))  # fmt: skip
-    for member in (m for m in ours.members if m.name in outside):
+    for member in (m for m in rig_here.members if m.name in outside):
         links = {p: member.links[p.name] for p in member.inputs if p.name in member.links}
         reads = [
             p
@@ -326,7 +326,7 @@ def real_time(kind, seed, outside=(), stalls=0):
             world.now + rng.randrange(1_000 * MS),
             partial(
                 SimulatedOutside,
-                ours,
+                rig_here,
                 member,
                 expected,
                 world,
@@ -434,8 +434,8 @@ def test_there_is_no_follower_beside_an_external_node(without, followers):
 def test_a_node_that_may_restart_is_waited_for_at_each_tick():
     rig, _ = rig_and_record("three who follow")
     for returns, followers in ((False, ["near", "half", "far"]), (True, [])):
-        given = node_parameters(rig, rig.members[0], 0, "lockstep", returns=returns)
-        assert Links.model_validate_json(given["run.links"]).followers == followers
+        parameters = node_parameters(rig, rig.members[0], 0, "lockstep", returns=returns)
+        assert Links.model_validate_json(parameters["run.links"]).followers == followers
 
 
 def test_a_node_that_gets_an_answer_while_it_publishes_starts_no_tick_inside_another():

@@ -34,12 +34,12 @@ def test_two_reservations_differ_and_the_first_becomes_free_again():
 @pytest.mark.parametrize("home", ["ours", "its own"])
 def test_another_process_holds_its_domain_until_it_dies(home, tmp_path, monkeypatch):
     """Two suites that ran together, each with its own home, chose one domain at the same moment."""
-    theirs = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)} if home == "its own" else None
+    other_environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)} if home == "its own" else None
     command = [sys.executable, "-c", HOLD]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=theirs) as child:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=other_environment) as child:
         number = int(child.stdout.readline())
-        with free_domain() as ours:
-            assert ours != number
+        with free_domain() as free:
+            assert free != number
         with pytest.raises(RunError, match=f"domain {number} is in use"), free_domain(number):
             pass
         monkeypatch.setattr(domain, "DOMAINS", range(number, number + 1))
@@ -48,8 +48,8 @@ def test_another_process_holds_its_domain_until_it_dies(home, tmp_path, monkeypa
             pass
         child.kill()
         child.wait()
-    with free_domain() as ours:
-        assert ours == number
+    with free_domain() as free:
+        assert free == number
 
 
 def test_if_all_are_taken_a_higher_one_is_used_and_the_holders_are_named(monkeypatch):

@@ -254,10 +254,10 @@ class Valve(Block):
         return x, {"pump": (1.0 - level[0],)}
 
 
-@pytest.mark.parametrize(("given", "last"), [({}, 0.9), ({"penalty": -1.0}, -0.1)])
-def test_a_value_beyond_the_limits_of_its_port_ends_an_episode(given, last):
+@pytest.mark.parametrize(("action", "last"), [({}, 0.9), ({"penalty": -1.0}, -0.1)])
+def test_a_value_beyond_the_limits_of_its_port_ends_an_episode(action, last):
     rig = Rig.from_blocks({"tank": Tank(), "valve": Valve()}, duration=1.0)
-    env = RigEnv(rig, "valve", reward=lambda now: now["tank/level/height"], **given)
+    env = RigEnv(rig, "valve", reward=lambda now: now["tank/level/height"], **action)
     observation, _ = env.reset(seed=1)
     steps = episode(env, lambda o: np.array([3.0]), observation)
     assert len(steps) == 4
@@ -329,8 +329,8 @@ def test_only_registered_policies_are_found(monkeypatch):
     with pytest.raises(ParameterError, match="policy = 'os:system': expected one of linear; a package registers"):
         Policy(policy="os:system")
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: Point())
-    mine = ByHand(Policy(policy="mine", weights=(4.0,), high=(3.0,), low=(-3.0,)))
-    outputs = mine.update(0, state=(1.0,))
+    policy = ByHand(Policy(policy="mine", weights=(4.0,), high=(3.0,), low=(-3.0,)))
+    outputs = policy.update(0, state=(1.0,))
     assert outputs == {"command": (3.0,)}
     with pytest.raises(ParameterError, match="mine:make is a int, expected a function"):
         Policy(policy="number")
@@ -351,12 +351,12 @@ def test_a_policy_goes_back_with_its_memory(monkeypatch):
         return act
 
     monkeypatch.setattr(policy, "find", lambda name: make)
-    held = ByHand(Policy(policy="sum"))
-    held.update(0, state=(1.0,))
-    saved = held.save()
+    node = ByHand(Policy(policy="sum"))
+    node.update(0, state=(1.0,))
+    saved = node.save()
     for _ in range(2):
-        held.load(saved)
-        assert [held.update(0, state=(1.0,))["command"] for _ in range(2)] == [(4.0,), (9.0,)]
+        node.load(saved)
+        assert [node.update(0, state=(1.0,))["command"] for _ in range(2)] == [(4.0,), (9.0,)]
 
 
 SHAKY = """
@@ -411,9 +411,13 @@ def test_the_page_trains_a_policy_and_its_statements_hold(tmp_path, monkeypatch,
     for block in blocks[:3]:
         exec(block, known)
     shown = re.search(r"```text\n(.*?)```", text, re.DOTALL)[1]
-    said, printed = ([float(n) for n in re.findall(r"\b\d[\d.]*", t)] for t in (shown, capsys.readouterr().out))
-    assert printed[1::2] == said[1::2] == [0.62, 1.18, 0.0]  # the law's
-    assert printed[::2] == pytest.approx(said[::2], rel=0.2, abs=0.01)  # a search ends elsewhere with other last bits
+    shown_numbers, printed = (
+        [float(n) for n in re.findall(r"\b\d[\d.]*", t)] for t in (shown, capsys.readouterr().out)
+    )
+    assert printed[1::2] == shown_numbers[1::2] == [0.62, 1.18, 0.0]  # the law's
+    assert printed[::2] == pytest.approx(
+        shown_numbers[::2], rel=0.2, abs=0.01
+    )  # a search ends elsewhere with other last bits
     assert all(policy < law for policy, law in zip(printed[:4:2], printed[1:4:2], strict=True))
     written = load_scenario(str(tmp_path / "dc_motor_policy.yaml"))
     assert simulate(written, duration=3.0).figures == known["run"].figures

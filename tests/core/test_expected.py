@@ -88,12 +88,12 @@ def test_limits_hold_up_to_their_edges_and_margins_count_from_bounds(limits, hol
     assert {x: one.margin(x) for x in margins} == pytest.approx(margins, nan_ok=True)
 
 
-def claim(verdict="reproduced", reason="so it is", where="Table 1", **given):
-    return Claim(verdict=verdict, reason=reason, where=where, **given)
+def claim(verdict="reproduced", reason="so it is", where="Table 1", **keywords):
+    return Claim(verdict=verdict, reason=reason, where=where, **keywords)
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("arguments", "text"),
     [
         ({"published": 2.0}, ""),
         ({"published": 2.0, "reason": ""}, ""),
@@ -116,17 +116,17 @@ def claim(verdict="reproduced", reason="so it is", where="Table 1", **given):
         ({"published": 1.0, "verdict": "seen"}, "Input should be 'reproduced', 'fitted'"),
     ],
 )
-def test_a_claim_is_complete_or_refused(given, text):
+def test_a_claim_is_complete_or_refused(arguments, text):
     if not text:
-        assert claim(**given)
+        assert claim(**arguments)
         return
     with pytest.raises(ValidationError) as refused:
-        claim(**given)
+        claim(**arguments)
     assert text in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("given", "others", "agrees", "not_agrees", "asked"),
+    ("arguments", "others", "agrees", "not_agrees", "asked"),
     [
         ({"published": 2.0}, {}, (1.9, 2.1), (1.899, 2.101, NAN, INF), "2 ± 0.1 (5 %)"),
         ({"published": -0.607, "tolerance": "10 %"}, {}, (-0.6677, -0.5463), (-0.668, 0.607), "-0.607 ± 0.0607 (10 %)"),
@@ -143,12 +143,12 @@ def test_a_claim_is_complete_or_refused(given, text):
         ({"below": 3.0, "above": 1.0}, {"below": 3.0, "above": 1.0}, (2.0,), (1.0, 3.0), "below 3, above 1"),
     ],
 )
-def test_agreement_with_a_claim_is_as_expected(given, others, agrees, not_agrees, asked):
-    one = claim(text="it is", **given)
+def test_agreement_with_a_claim_is_as_expected(arguments, others, agrees, not_agrees, asked):
+    one = claim(text="it is", **arguments)
     assert one.asks(others) == asked
     assert [one.agrees(x, others) for x in (*agrees, *not_agrees)] == [True] * len(agrees) + [False] * len(not_agrees)
-    assert one.compared() == {k: v for k, v in given.items() if k in ("below", "above", "equals")}
-    assert one.references() == [v for k, v in given.items() if isinstance(v, str) and k != "tolerance"]
+    assert one.compared() == {k: v for k, v in arguments.items() if k in ("below", "above", "equals")}
+    assert one.references() == [v for k, v in arguments.items() if isinstance(v, str) and k != "tolerance"]
 
 
 def test_a_claim_agrees_at_the_edge_of_its_tolerance_within_rounding():
@@ -217,7 +217,7 @@ SAID = {"motor.i_max": 10.0, "law.set_point": -4.0, "load.times.1": 0.5, "name":
     ],
 )
 def test_an_expectation_refers_to_numbers_of_nodes(text, expected):
-    def said(name):
+    def reported(name):
         if name not in SAID:
             raise ScenarioError(f"no {name}")
         return SAID[name]
@@ -228,10 +228,12 @@ def test_an_expectation_refers_to_numbers_of_nodes(text, expected):
         parsed.holds(0.0)
     if isinstance(expected, str):
         with pytest.raises(ScenarioError, match=expected):
-            parsed.resolved(said)
+            parsed.resolved(reported)
         return
-    assert parsed.resolved(said).model_dump(exclude_none=True, exclude={"text"}) == pytest.approx(expected, rel=1e-15)
-    assert parsed.resolved(said).resolved(said) == parsed.resolved(said)
+    assert parsed.resolved(reported).model_dump(exclude_none=True, exclude={"text"}) == pytest.approx(
+        expected, rel=1e-15
+    )
+    assert parsed.resolved(reported).resolved(reported) == parsed.resolved(reported)
 
 
 def test_a_number_in_an_expectation_belongs_to_the_machine_unless_it_is_zero():

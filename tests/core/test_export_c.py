@@ -348,8 +348,8 @@ def test_an_error_keeps_the_state_and_returns_the_safe_value_and_parameters_can_
 
     def python(delta):
         block = member_of(rig_of("dc_motor_smc_b2", overrides={"dc_motor_smc.delta": delta}), "dc_motor_smc").block(1)
-        given = {"state": (5.0,), "sensors": (0.0, 0.1), "reference": (10.0,)}
-        return block.update(block.first(), 0, **given)[1]["command"][0]
+        inputs = {"state": (5.0,), "sensors": (0.0, 0.1), "reference": (10.0,)}
+        return block.update(block.first(), 0, **inputs)[1]["command"][0]
 
     delta = member_of(rig, "dc_motor_smc").block(1).p.delta
     assert words[0] == "0"

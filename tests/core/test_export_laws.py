@@ -343,8 +343,8 @@ def test_a_field_that_does_not_exist_is_refused_in_c():
 def test_a_text_with_another_answer_than_the_run_is_refused(monkeypatch):
     own = c_files.law_of
 
-    def wrong(*given):
-        law = own(*given)
+    def wrong(*arguments):
+        law = own(*arguments)
         return replace(law, texts={name: text.replace(" - ", " + ") for name, text in law.texts.items()})
 
     monkeypatch.setattr(c_files, "law_of", wrong)
@@ -360,7 +360,7 @@ class Steady(Block[MpptParams]):
     def first(self):
         return 0
 
-    def update(self, x, t, **given):
+    def update(self, x, t, **inputs):
         return x + 1, {"command": (0.45,), "state": (0.45,) * 7}
 
 

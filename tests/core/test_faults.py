@@ -312,8 +312,8 @@ def test_after_a_link_of_acquisition_times_the_first_message_is_new_whatever_its
     for kind, first in (({}, (0.0,)), ({"delayed": True}, Sample(0, (0.0,))), ({"initial": (3.0,)}, (3.0,))):
         silent = ByHand(Fault(kind="silence", **about, **kind))
         silent.block.ages = lambda name: 0
-        given = Sample(9, (1.0,)) if "delayed" in kind else (1.0,)
-        assert silent.update(9, sent=given, toggle=None) == {"arrived": first}  # held is what there was before
+        message = Sample(9, (1.0,)) if "delayed" in kind else (1.0,)
+        assert silent.update(9, sent=message, toggle=None) == {"arrived": first}  # held is what there was before
 
 
 def limits_of(p):

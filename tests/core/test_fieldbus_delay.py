@@ -80,9 +80,9 @@ def test_a_long_line_is_a_sorted_list(spread):
         insort(plain, (due, stamp, message))
         line, *result = line.pop_arrived(t, t - 500, ())
         row, *same = row.pop_arrived(t, t - 500, ())
-        there = [x for x in plain if x[0] <= t]
-        plain = plain[len(there) :]
-        late = [[stamp, message] for _, stamp, message in there if stamp >= t - 500]
+        arrived = [x for x in plain if x[0] <= t]
+        plain = plain[len(arrived) :]
+        late = [[stamp, message] for _, stamp, message in arrived if stamp >= t - 500]
         assert result == same == max(late, default=[t - 500, ()])
     assert repr(line) == f"Line(1, {tuple(plain)})"
     assert line == row.python() == line.native().python()

@@ -348,7 +348,7 @@ def interpreted():
         patch.setattr(one_pass, "BLOCK", 7)
         patch.setattr(one_pass, "SPANS", 3)
         plain = Jit(one_pass.extreme.py_func).straight()
-        plain.pays = lambda *given: True
+        plain.pays = lambda *arguments: True
         patch.setattr(one_pass, "extreme", plain)
         yield
 
@@ -388,7 +388,7 @@ def test_one_pass_is_the_reference_in_value_instant_and_spans(formula):
 @pytest.mark.long
 @pytest.mark.parametrize("formula", ONE_PASS)
 def test_one_pass_natively_is_the_reference(formula, monkeypatch):
-    monkeypatch.setattr(one_pass.extreme, "pays", lambda *given: True)
+    monkeypatch.setattr(one_pass.extreme, "pays", lambda *arguments: True)
     rng = np.random.default_rng(4)
     for _ in range(50):
         one, other = both(formula, rng, int(rng.integers(1, 3000)))

@@ -122,12 +122,12 @@ def test_a_branch_does_not_change_its_run():
     session.set(SOFTER)
     session.go(0.05)
     session.set({"dc_motor_smc.delta": 0.7})
-    here, there = session.branch(), session.branch(0.03)
-    for run in (here, there, session):
+    branch, earlier_branch = session.branch(), session.branch(0.03)
+    for run in (branch, earlier_branch, session):
         run.go()
-    assert here.recording.topics == session.recording.topics
-    assert there.recording.topics == simulate("dc_motor_smc", duration=0.1).recording.topics
-    assert session.recording.topics != there.recording.topics
+    assert branch.recording.topics == session.recording.topics
+    assert earlier_branch.recording.topics == simulate("dc_motor_smc", duration=0.1).recording.topics
+    assert session.recording.topics != earlier_branch.recording.topics
 
 
 def test_of_many_ticks_few_states_are_stored_and_any_tick_is_reached(monkeypatch):

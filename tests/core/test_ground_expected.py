@@ -34,10 +34,10 @@ from softrig_core.scenario.faults import FaultEntry
 from softrig_core.scenario.scenario import FigureEntry, NodeEntry, PlotEntry, Scenario
 
 
-def said(function, *given, **words):
+def outcome(function, *arguments, **words):
     """The result of a function, or the line of its error."""
     try:
-        return repr(function(*given, **words))
+        return repr(function(*arguments, **words))
     except (ScenarioError, RunError, ValueError, TypeError, argparse.ArgumentTypeError) as error:
         return f"{type(error).__name__}: {error}"
 
@@ -57,12 +57,12 @@ def test_declarations_are_as_expected():
             default = "needed" if field.is_required() else repr(field.get_default(call_default_factory=True))
             lines.append(f"  {name} {default} {rules}".rstrip())
     lines += [
-        f"run.{n} of {size}: {said(RunOptions, **{n: 'x' * size})[:40]}"
+        f"run.{n} of {size}: {outcome(RunOptions, **{n: 'x' * size})[:40]}"
         for n in ("links", "changes", "status")
         for size in (10_001, 1 << 20, (1 << 20) + 1)
     ]
     lines += [
-        f"run.{n} = {v}: {'no' if 'Error' in said(RunOptions, **{n: v}) else 'yes'}"
+        f"run.{n} = {v}: {'no' if 'Error' in outcome(RunOptions, **{n: v}) else 'yes'}"
         for n, v in (
             ("timeout", 0.0),
             ("timeout", 1e6),
@@ -125,11 +125,11 @@ def test_nodes_agree_within_the_last_digits():
     ):
         short = {k: v if len(str(v)) < 50 else "much" for k, v in values.items()}
         lines.append(
-            f"{short}: {said(require_agreement, 'here', [member('one'), member('two', **values), member('three')])}"
+            f"{short}: {outcome(require_agreement, 'here', [member('one'), member('two', **values), member('three')])}"
         )
     zero = [member("one", mass=0.0), member("two", mass=0.9e-300)]
-    lines.append(f"nearly zero: {said(require_agreement, 'here', zero)}")
-    lines.append(f"not zero: {said(require_agreement, 'here', [zero[0], member('two', mass=1.2e-300)])}")
+    lines.append(f"nearly zero: {outcome(require_agreement, 'here', zero)}")
+    lines.append(f"not zero: {outcome(require_agreement, 'here', [zero[0], member('two', mass=1.2e-300)])}")
     some = [member("one", mass=3.0), member("two", Assumes), member("three", Assumes, mass=3.0)]
     lines += [f"assumed: {line}" for line in assumptions(some)]
     reported = agreed_values([member("one"), member("two", mass=2.0)])
@@ -142,7 +142,7 @@ def test_nodes_agree_within_the_last_digits():
         ({"m": 5}, {"m": "none"}),
         ({"k": 1}, {}),
     ):
-        lines.append(f"{arguments} with {agreed}: {said(agreeing, reported, arguments, agreed)}")
+        lines.append(f"{arguments} with {agreed}: {outcome(agreeing, reported, arguments, agreed)}")
         assert "n" not in arguments
     check_expected("agreement", lines)
 
@@ -220,7 +220,7 @@ def test_the_executables_of_a_package_are_tried_with_their_defaults(monkeypatch)
         return type("Main", (), {"block": kind, "__call__": lambda self: 0})()
 
     lines = [
-        f"{name}: {said(check_entry_point, point(target))}"
+        f"{name}: {outcome(check_entry_point, point(target))}"
         for name, target in {
             "a number": 5,
             "a function": len,
@@ -362,10 +362,10 @@ def test_each_error_on_a_command_line_is_one_line():
         "",
         "a --seed",
     ):
-        result = said(parser.parse_args, words.split())
+        result = outcome(parser.parse_args, words.split())
         lines.append(f"{words}: {result.partition(';')[0] if 'Error' in result else result}")
-    lines.append(said(Parser(prog="softrig", add_help=False).parse_args, ["x"]))
-    lines += [f"{text}: {said(named, text, '--set', 'VALUE')}" for text in ("a=1", "a=", "=1", "a", "a=b=c")]
+    lines.append(outcome(Parser(prog="softrig", add_help=False).parse_args, ["x"]))
+    lines += [f"{text}: {outcome(named, text, '--set', 'VALUE')}" for text in ("a=1", "a=", "=1", "a", "a=b=c")]
     for words in ("a b", "--ros-args -r x:=y", "a --ros-args -r x -- b", "a -- b", "--ros-args -- --ros-args x"):
         lines.append(f"{words}: {without_ros(words.split())}")
     check_expected("command_line", lines)
@@ -431,10 +431,10 @@ def test_each_failure_has_its_line_and_status(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(sys, "stdout", Full())
     lines.append(f"full: {guarded(lambda: 0)} {capsys.readouterr().err}".rstrip())
     monkeypatch.undo()
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
+    missing = tmp_path / "gone"
+    missing.mkdir()
+    monkeypatch.chdir(missing)
+    missing.rmdir()
     lines.append(f"no directory: {guarded(lambda: 0)} {capsys.readouterr().err}".rstrip())
     check_expected("failures", lines)
 

@@ -244,8 +244,8 @@ def test_without_numba_the_bits_are_the_same():
         "    out.append(x[0])\n"
         "sys.stdout.buffer.write(np.array(out).tobytes())\n"
     )
-    here = os.path.dirname(__file__)
-    path = os.pathsep.join((here, os.path.dirname(here), os.environ.get("PYTHONPATH", "")))
+    folder = os.path.dirname(__file__)
+    path = os.pathsep.join((folder, os.path.dirname(folder), os.environ.get("PYTHONPATH", "")))
     plain, native = (
         subprocess.run(
             [sys.executable, "-c", code],

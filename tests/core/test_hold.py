@@ -39,11 +39,11 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     ):
         world.at(start + round(moment * 1e9), lambda call=call: (seen.append(adapter.t / 1e9), call()))
     assert set(run.run(60.0).values()) == {"done"}
-    full, slow, held, stepped, again = seen
+    full, slow, paused, stepped, again = seen
     assert 0.18 <= full <= 0.22
     assert slow - full == pytest.approx(0.2, abs=0.012)
-    assert 0.0 <= held - slow <= 0.002
-    assert stepped - held == pytest.approx(float(RIG.clock.schedule.period))
+    assert 0.0 <= paused - slow <= 0.002
+    assert stepped - paused == pytest.approx(float(RIG.clock.schedule.period))
     assert again - stepped == pytest.approx(0.1, abs=0.012)
     assert world.now - start < 21.2e9
     assert adapter.account.status()["pace"] == 0.0

@@ -50,8 +50,8 @@ def dotted(module, name):
 def overridden(module, name):
     """The methods that a method overrides, by full name."""
     made, _, method = name.rpartition(".")
-    there = importlib.import_module(module.removesuffix(".py").replace("/", "."))
-    return {f"{c.__module__}.{c.__qualname__}.{method}" for c in getattr(there, made).__mro__} if made else set()
+    imported = importlib.import_module(module.removesuffix(".py").replace("/", "."))
+    return {f"{c.__module__}.{c.__qualname__}.{method}" for c in getattr(imported, made).__mro__} if made else set()
 
 
 @pytest.mark.long

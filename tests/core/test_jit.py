@@ -472,7 +472,7 @@ def test_without_numba_functions_call_plain_functions(name, value, monkeypatch):
     """Functions of an enclosing function and a function itself included; the others still call the objects."""
     monkeypatch.setenv(name, value)
     calls = []
-    monkeypatch.setattr(Jit, "__call__", lambda self, *given: calls.append(self.__name__) or self._run(*given))
+    monkeypatch.setattr(Jit, "__call__", lambda self, *arguments: calls.append(self.__name__) or self._run(*arguments))
     two, three = _times(2.0), _times(3.0)
     assert (two(1.0, 2), three(1.0, 2), two(5.0, 0)) == (6.0, 9.0, 10.0)
     assert calls == ["outer"] * 3

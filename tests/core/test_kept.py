@@ -108,13 +108,13 @@ class Odd(Block[Params]):
 def test_the_first_state_is_made_once_with_the_seed_and_reported_once():
     block = Odd.seeded(Params(), "odd", 3)
     assert (Odd.firsts, block.reports) == (1, {})
-    held = RunningBlock(block)
+    running = RunningBlock(block)
     by_hand = Odd(Params(), "odd")
     by_hand.reset(3)
-    assert (held.x, held.reports["odd"]) == (by_hand.first(), (Level.WARN, "gain 1", 1))
-    assert RunningBlock(Odd.seeded(Params(), "odd", 4)).x != held.x
+    assert (running.x, running.reports["odd"]) == (by_hand.first(), (Level.WARN, "gain 1", 1))
+    assert RunningBlock(Odd.seeded(Params(), "odd", 4)).x != running.x
     again = RunningBlock(block)  # of a block that has begun it is made anew
-    assert (again.x, again.reports["odd"][2]) == (held.x, 1)
+    assert (again.x, again.reports["odd"][2]) == (running.x, 1)
     changed = Odd.seeded(Params(), "odd", 3)
     changed.change(Params(gain=2.0))
     assert RunningBlock(changed).reports["odd"][1] == "gain 2"

@@ -394,15 +394,17 @@ def test_errors_name_the_line_in_the_users_code(tmp_path):
     scope: dict[str, Any] = {}
     exec(compile((tmp_path / "own.py").read_text(), str(tmp_path / "own.py"), "exec"), scope)
 
-    def told(call):
+    def described(call):
         try:
             call()
         except Exception as error:
             return describe(error)
 
-    assert told(lambda: scope["fails"](0)).endswith(f" ({tmp_path / 'own.py'}, line 2)")
-    assert told(lambda: scope["fails"](0)).startswith("ZeroDivisionError: ")
-    assert told(lambda: exec(compile("x = = 1", "bad.py", "exec"))) == "SyntaxError: invalid syntax (bad.py, line 1)"
+    assert described(lambda: scope["fails"](0)).endswith(f" ({tmp_path / 'own.py'}, line 2)")
+    assert described(lambda: scope["fails"](0)).startswith("ZeroDivisionError: ")
+    assert (
+        described(lambda: exec(compile("x = = 1", "bad.py", "exec"))) == "SyntaxError: invalid syntax (bad.py, line 1)"
+    )
     assert describe(ValueError("no trace")) == "ValueError: no trace"
     assert describe(KeyError()) == "KeyError"
     assert (closest("gian", ["gain", "loss"]), closest("x", ["gain"])) == (" (did you mean 'gain'?)", "")
@@ -441,13 +443,13 @@ def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
     """Against a stopwatch: waited time counts, pauses do not, and a lag of more than 0.25 s is not caught up."""
     rng = random.Random(seed)
     rate, now, t = 1.0, 100.0, 0
-    pace, gone, seen, stopped = Pace(rate), None, None, False
+    pace, advanced, seen, stopped = Pace(rate), None, None, False
     for _ in range(200):
         what = rng.choice(["look"] * 6 + ["change", "stop", "go on", "begin"])
         passed = rng.choice([0.0, 0.01, 0.05, 0.125, 0.5])
         now += passed
-        if gone is not None and not stopped:
-            gone += passed * rate  # s that the run may have advanced by now
+        if advanced is not None and not stopped:
+            advanced += passed * rate  # s that the run may have advanced by now
         if what == "change":
             pace.change(new := rng.choice([0.5, 1.0, 2.0]), now)
             rate = new
@@ -459,19 +461,19 @@ def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
             stopped = False
         elif what == "begin":
             pace.begin()
-            gone = None
+            advanced = None
         elif not stopped:
-            gone = t / 1e9 if gone is None else gone
-            result, ahead = pace.reach(now, t), gone - t / 1e9
+            advanced = t / 1e9 if advanced is None else advanced
+            result, ahead = pace.reach(now, t), advanced - t / 1e9
             if abs(ahead) < 1e-6 or abs(ahead - 0.25 * rate) < 1e-6:
                 continue
             if ahead < 0:
                 assert result is None
             elif ahead > 0.25 * rate:
                 assert result == t
-                gone = t / 1e9
+                advanced = t / 1e9
             else:
-                assert result == pytest.approx(gone * 1e9, abs=10)
+                assert result == pytest.approx(advanced * 1e9, abs=10)
                 t = rng.randint(t, result)
                 t = result if rng.random() < 0.5 else t
     assert seen is None

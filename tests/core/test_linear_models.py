@@ -55,7 +55,7 @@ def linear(x, u):
 
 
 @pytest.mark.parametrize(
-    ("given", "x", "u"),
+    ("conditions", "x", "u"),
     [
         ({}, [1.0 + 2.0 * 0.0, 0.0, -0.5 - 4.0], [1.0, 2.0]),  # by hand: x1 = 0, x0 = u0, x2 = -x0/2 - 2 u1
         ({"held": [0], "free": [0]}, [3.0, 0.0, -1.5 - 4.0], [3.0, 2.0]),
@@ -63,13 +63,13 @@ def linear(x, u):
         ({"moving": [2]}, [(2.0 * 4.0 + 8.0 + 1.0 * 3.0) / 2.0, (0.5 + 4.0 + 5.0) / 2.0, 5.0], [1.0, 2.0]),
     ],
 )
-def test_an_equilibrium_of_a_linear_model_is_found_in_a_step(given, x, u):
-    result = equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
-    held = [i for i in range(3) if i in (*given.get("held", ()), *given.get("moving", ()))]
-    remaining = [i for i in range(3) if i not in given.get("moving", ())]
+def test_an_equilibrium_of_a_linear_model_is_found_in_a_step(conditions, x, u):
+    result = equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **conditions)
+    held = [i for i in range(3) if i in (*conditions.get("held", ()), *conditions.get("moving", ()))]
+    remaining = [i for i in range(3) if i not in conditions.get("moving", ())]
     assert result[0][held].tolist() == np.array([3.0, 4.0, 5.0])[held].tolist()
     assert (A @ result[0] + B @ result[1])[remaining] == pytest.approx(np.zeros(len(remaining)), abs=1e-8)
-    if "moving" not in given:
+    if "moving" not in conditions:
         assert result[0] == pytest.approx(x, abs=1e-8)
         assert result[1] == pytest.approx(u, abs=1e-8)
     else:
@@ -79,7 +79,7 @@ def test_an_equilibrium_of_a_linear_model_is_found_in_a_step(given, x, u):
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("conditions", "text"),
     [
         ({"held": [0]}, "2 states and 0 inputs are free, expected 3 in all: one for each derivative that is to vanish"),
         ({"free": [1]}, "3 states and 1 inputs are free, expected 3 in all"),
@@ -87,12 +87,12 @@ def test_an_equilibrium_of_a_linear_model_is_found_in_a_step(given, x, u):
         ({"moving": [0, 1], "free": [0, 1]}, "1 states and 2 inputs are free, expected 1 in all"),
     ],
 )
-def test_there_must_be_as_many_unknowns_as_conditions(given, text):
+def test_there_must_be_as_many_unknowns_as_conditions(conditions, text):
     if not text:
-        equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
+        equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **conditions)
         return
     with pytest.raises(ValueError, match=f"^{text}"):
-        equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
+        equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **conditions)
 
 
 def one(f):

@@ -592,7 +592,7 @@ def test_infinite_states_give_no_warning():
     class Map:
         start = np.array([1.0, math.inf])
 
-        def __call__(self, x, given):
+        def __call__(self, x, inputs):
             return np.array([3.0, math.inf]), {}
 
     with np.errstate(all="raise"):

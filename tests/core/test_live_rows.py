@@ -142,10 +142,10 @@ def expected(messages, links, period, patience):
         lacking = []
         for name, sender in senders.items():
             due = sender.held(t)
-            there = bool(arrived[name]) and arrived[name][-1][0] >= due
+            arrived_in_time = bool(arrived[name]) and arrived[name][-1][0] >= due
             if name == "c" and not expect[name]:
                 continue
-            if not there or (name != "c" and arrived[name][0][0] > t):
+            if not arrived_in_time or (name != "c" and arrived[name][0][0] > t):
                 lacking.append(name)
         return lacking
 
@@ -684,7 +684,7 @@ def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     assert type(row).__name__ == "Sporadic"
     write = TickWriter()
 
-    def told(t, *ports):
+    def acknowledge(t, *ports):
         tick(write(START + t * MS, ports))
 
     def answered():
@@ -693,39 +693,39 @@ def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     node.hand.time = START + MS
     node.hear("a", START, 1.0)
     assert not SEEN
-    told(0, "other")  # the sender acknowledges its tick without a message on `out`
+    acknowledge(0, "other")  # the sender acknowledges its tick without a message on `out`
     assert [*SEEN] == [(0, 1.0, 0.0, None, 0)]
     assert row.held_stamp() is None
-    told(10, "out")  # the message arrives later
+    acknowledge(10, "out")  # the message arrives later
     node.hear("a", START + 10 * MS, 2.0)
     assert answered() == [0]
     node.hear("b", START + 10 * MS, 7.0)
     assert SEEN[-1] == (10 * MS, 2.0, 7.0, None, 0)
     assert row.held_stamp() == 10 * MS
     arrived, node.hand.time = row.arrived, node.hand.time + 1
-    told(10, "out")  # repeated message
-    told(10)
+    acknowledge(10, "out")  # repeated message
+    acknowledge(10)
     assert row.arrived == arrived
-    told(20)
+    acknowledge(20)
     node.hear("b", START + 30 * MS, 8.0)
     node.hear("a", START + 20 * MS, 3.0)
     assert SEEN[-1] == (20 * MS, 3.0, 7.0, None, 0)
     node.hear("a", START + 30 * MS, 4.0)
     assert SEEN[-1] == (30 * MS, 4.0, 8.0, None, 0)
-    told(30, "out")
+    acknowledge(30, "out")
     node.hear("a", START + 40 * MS, 5.0)
-    told(40, "out")
-    told(50)
+    acknowledge(40, "out")
+    acknowledge(50)
     assert answered()[-1] == 30
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_give_up")
     timer.call()
     assert SEEN[-1] == (40 * MS, 5.0, 8.0, None, 0)
     node.hear("a", START + 50 * MS, 6.0)
     assert SEEN[-1] == (50 * MS, 6.0, 8.0, None, 0)  # after one timeout the node no longer waits for b
-    told(5000_000)
+    acknowledge(5000_000)
     assert node.adapter.paces[0].refused == 1
     node.adapter.state = "done"
-    told(60)
+    acknowledge(60)
     node.hear("a", START + 60 * MS, 6.0)
     assert answered()[-1] == 50
 

@@ -53,9 +53,9 @@ FUNCTIONS = {
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_they_compute_as_numpy_does(name):
-    there, here = FUNCTIONS[name](X, Y), FUNCTIONS[name](far(X), far(Y))
-    there, here = (v if isinstance(v, tuple | list) else [v] for v in (there, here))
-    for a, b in zip(there, here, strict=True):
+    whole, by_parts = FUNCTIONS[name](X, Y), FUNCTIONS[name](far(X), far(Y))
+    whole, by_parts = (v if isinstance(v, tuple | list) else [v] for v in (whole, by_parts))
+    for a, b in zip(whole, by_parts, strict=True):
         assert a == b if isinstance(a, slice) else np.array_equal(a, np.asarray(b), equal_nan=True)
 
 
@@ -76,9 +76,9 @@ def test_a_place_that_is_not_there_is_an_error():
 
 
 def test_another_process_gets_the_numbers():
-    there = pickle.loads(pickle.dumps(far(X) * 2.0))
-    assert type(there) is np.ndarray
-    assert np.array_equal(there, 2.0 * X)
+    whole = pickle.loads(pickle.dumps(far(X) * 2.0))
+    assert type(whole) is np.ndarray
+    assert np.array_equal(whole, 2.0 * X)
 
 
 ARGUMENTS = {"reach_time": {"level": 1.0}, "error_settling_time": {"band": 5.0}, "mean_error": {"reference": "r"}}
@@ -87,14 +87,14 @@ ARGUMENTS = {"reach_time": {"level": 1.0}, "error_settling_time": {"band": 5.0},
 @pytest.mark.parametrize("name", measures.__all__)
 def test_figures_of_long_signals_have_the_same_bits(name):
     figure, every = getattr(measures, name), slice(0, None, 7)
-    for given in ({}, {"start": 0.0005}, {"start": 0.5, "end": 2.0004}):
-        given = ARGUMENTS.get(name, {}) | given
+    for arguments in ({}, {"start": 0.0005}, {"start": 0.5, "end": 2.0004}):
+        arguments = ARGUMENTS.get(name, {}) | arguments
         for more in ({}, {"reference": "r"}) if "reference" in figure.__annotations__ else ({},):
             values = []
             for kind in (np.asarray, far):
                 signals = {"x": (kind(T), kind(X)), "r": (kind(T[every]), kind(Y[every]))}
-                values.append(figure(signals, "x", **given | more))
-            assert values[0] == values[1], (given, more)
+                values.append(figure(signals, "x", **arguments | more))
+            assert values[0] == values[1], (arguments, more)
 
 
 FORMULAS = (

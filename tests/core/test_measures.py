@@ -124,7 +124,7 @@ def cells(signals, reference, start, end):
 
 
 def over_time(number):
-    return lambda *given: number([x for part in cells(*given) for x in part])
+    return lambda *arguments: number([x for part in cells(*arguments) for x in part])
 
 
 def held_integral(signals, reference, start, end):

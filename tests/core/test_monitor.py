@@ -46,17 +46,17 @@ def test_short_work_is_done_in_the_receiving_thread_and_long_work_by_the_executo
     def arrive(takes):
         elsewhere(lambda: executor.monitor.arrive(lambda: work(takes)))
 
-    here = threading.get_ident()
+    this_thread = threading.get_ident()
     for k in range(SHORT_ONES):
         arrive(1000)
         assert len(where) == k  # the monitor has not yet measured enough calls to run one in this thread
         executor.turn(lambda n=k: len(where) > n)
-    assert set(where) == {here}
+    assert set(where) == {this_thread}
     arrive(LONG)
-    assert where.pop() != here
+    assert where.pop() != this_thread
     arrive(0)
     executor.turn(lambda: len(where) > SHORT_ONES)
-    assert set(where) == {here}
+    assert set(where) == {this_thread}
     assert executor.monitor.done == SHORT_ONES + 2
 
 
@@ -131,17 +131,17 @@ def test_threads_never_meet_and_nothing_is_lost(pattern, restless):
     executor = Executor(clock)
     monitor, busy, done, seen = executor.monitor, threading.Lock(), [], {k: [] for k in range(5)}
 
-    def work(who, number):
+    def work(thread, number):
         assert busy.acquire(blocking=False)
-        seen[who].append(number)
+        seen[thread].append(number)
         busy.release()
 
-    def bring(who):
+    def bring(thread):
         for k in range(1000):
-            monitor.arrive(lambda k=k: work(who, k))
-        done.append(who)
+            monitor.arrive(lambda k=k: work(thread, k))
+        done.append(thread)
 
-    threads = [threading.Thread(target=bring, args=(who,)) for who in range(4)]
+    threads = [threading.Thread(target=bring, args=(thread_number,)) for thread_number in range(4)]
     for thread in threads:
         thread.start()
     for k in range(1000):

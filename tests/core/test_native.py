@@ -323,7 +323,7 @@ def test_functions_that_native_code_rewrites_have_the_bits_of_pythons(numba: boo
         exec(TEXTS[name], scope)
         scope[name] = our_numba().njit(error_model="python")(scope[name]) if numba else scope[name]
 
-    def said(function: Any, *values: Any) -> Any:
+    def reported(function: Any, *values: Any) -> Any:
         try:
             return repr(function(*values))
         except (ArithmeticError, ValueError):
@@ -333,10 +333,10 @@ def test_functions_that_native_code_rewrites_have_the_bits_of_pythons(numba: boo
     rng = random.Random(1)
     numbers += [rng.gauss(0.0, 1.0) * 10.0 ** rng.randint(-9, 9) for _ in range(30)]
     for x, y in itertools.product(numbers, numbers):
-        assert said(scope["abs_"], complex(x, y)) == said(abs, complex(x, y))
-        assert said(scope["phase"], complex(x, y)) == said(cmath.phase, complex(x, y))
+        assert reported(scope["abs_"], complex(x, y)) == reported(abs, complex(x, y))
+        assert reported(scope["phase"], complex(x, y)) == reported(cmath.phase, complex(x, y))
         for name, own in {"rect": cmath.rect, "remainder": math.remainder, "fmod": math.fmod}.items():
-            assert said(scope[name], x, y) == said(own, x, y), (name, x, y)
+            assert reported(scope[name], x, y) == reported(own, x, y), (name, x, y)
 
 
 def test_the_reason_why_native_code_does_not_pay_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,8 +346,8 @@ def test_the_reason_why_native_code_does_not_pay_is_stated(monkeypatch: pytest.M
     assert choice.unwanted(steps, 6.1) == choice.unwanted(steps, 0.061, 100) == ""
     assert choice.unwanted(steps, 0.0009, 1000) == choice.SHORT
     assert choice.unwanted(steps, 0.0009, 10**4) == ""
-    with monkeypatch.context() as there:
-        there.setattr(choice, "known", lambda kinds, make: make is engine.compiled)
+    with monkeypatch.context() as patch:
+        patch.setattr(choice, "known", lambda kinds, make: make is engine.compiled)
         assert choice.unwanted(steps, 0.009) == choice.SHORT
         assert choice.unwanted(steps, 0.011) == choice.unwanted(steps, 0.0009, 12) == ""
     assert choice.writes(steps, 0.2)
@@ -692,9 +692,9 @@ def test_another_process_takes_native_code_from_the_cache(tmp_path: Path) -> Non
 def test_an_observer_that_gets_columns_gets_what_it_would_have_seen(window, period, asked, monkeypatch):
     calls: list[int] = []
 
-    def counted(self, x, t, *, told=Watch.update, **inputs):
+    def counted(self, x, t, *, update=Watch.update, **inputs):
         calls.append(t)
-        return told(self, x, t, **inputs)
+        return update(self, x, t, **inputs)
 
     monkeypatch.setattr(Watch, "update", counted)
     about = {"dc_motor_metrics.window": window, "dc_motor_metrics.period": period}

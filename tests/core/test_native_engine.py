@@ -418,17 +418,17 @@ def test_a_state_returns_from_native_code_unchanged(state: Any) -> None:
     """Frozen dataclasses as named tuples of the same fields, objects by their own methods; other values are passed
     unchanged.
     """
-    there = twins.packed(state)
-    assert twins.unpacked(there) == state
-    assert type(twins.unpacked(there)) is type(state)
-    assert "Frozen(" not in repr(there).replace("__Frozen(", "")
-    assert "Whole" not in repr(there)
+    natively = twins.packed(state)
+    assert twins.unpacked(natively) == state
+    assert type(twins.unpacked(natively)) is type(state)
+    assert "Frozen(" not in repr(natively).replace("__Frozen(", "")
+    assert "Whole" not in repr(natively)
     if "Frozen" not in repr(state) and "Whole" not in repr(state):
-        assert there is state
-        assert twins.unpacked(there) is state
+        assert natively is state
+        assert twins.unpacked(natively) is state
     python = twins.packed(state, False)
     assert ("Whole" in repr(python)) == ("Whole" in repr(state))
-    assert twins.form(there) == twins.form(twins.packed(state))
+    assert twins.form(natively) == twins.form(twins.packed(state))
 
 
 def test_native_forms_and_twins_are_checked() -> None:

@@ -259,11 +259,11 @@ def native(case: str, typed: bool = True) -> tuple[Any, Any, Program, list[str]]
     owner = Owner()
     program = Program([owner], Writer, {(0, "near"): 0, (0, "far"): "when[0]"}, (), typed)
     program.reports = Reports()
-    given = [GIVEN[name][0] for name in names]
+    known = [GIVEN[name][0] for name in names]
     if typed:
-        given = [dataclasses.replace(v, sample=packed(v.sample)) if isinstance(v, Dynamic) else v for v in given]
+        known = [dataclasses.replace(v, sample=packed(v.sample)) if isinstance(v, Dynamic) else v for v in known]
     try:
-        value = made(program, function, [Static(owner, (0,)), *given], {}, set())
+        value = made(program, function, [Static(owner, (0,)), *known], {}, set())
     except NotNative as reason:
         value = reason
     return function, value, program, names
@@ -1309,7 +1309,7 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
     if isinstance(value, NotNative):
         return None
     code = Writer(program, None, {}).code(value) if not isinstance(value, Static) else None
-    mine = ByHand(owner := owner or Owner())
+    running = ByHand(owner := owner or Owner())
     words = TEXTS if typed else {w: text for w, text in TEXTS.items() if w not in OWN}
     scope = {
         "same_": same,
@@ -1331,15 +1331,15 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
         scope.update({k: packed(v, typed) for k, v in values.items()})
         return value.value if code is None else eval(code, scope)
 
-    def python(*given: Any) -> Any:
-        return function(owner, *given)
+    def python(*arguments: Any) -> Any:
+        return function(owner, *arguments)
 
     def reported() -> Any:
         """Return the native reports, and those in Python."""
         other = ByHand(Owner())
         program.reports.record(scope["reports"], [other])
-        mine.store_reports()
-        return other.reports, mine.reports
+        running.store_reports()
+        return other.reports, running.reports
 
     return names, call, python, reported
 
@@ -1414,7 +1414,7 @@ def test_a_text_that_another_block_shares_gives_what_its_python_gives() -> None:
             if (result := calling(case, True, other)) is None:
                 continue
             names, call, python, _ = result
-            values = [values_of(given, 0) for given in names]
+            values = [values_of(argument, 0) for argument in names]
             with suppress(*NATIVE):
                 natively = call({k: v for _, native in values for k, v in native.items()})
                 assert repr(in_native(natively)) == repr(in_native(python(*(v for v, _ in values)))), (case, name)
@@ -1422,15 +1422,15 @@ def test_a_text_that_another_block_shares_gives_what_its_python_gives() -> None:
     assert min(shared, refused) > 10, (shared, refused)
 
 
-def native_or_why(body: str, **given: Any) -> str:
+def native_or_why(body: str, **keywords: Any) -> str:
     """Return why a function of some arguments is not native; empty if it is."""
-    text = f"def case({', '.join(given)}):\n    return {body}\n"
+    text = f"def case({', '.join(keywords)}):\n    return {body}\n"
     name = f"<{text}>"
     linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
     scope = dict(GLOBALS)
     exec(compile(text, name, "exec"), scope)
     try:
-        made(Program([Owner()], Writer), scope["case"], list(given.values()), {}, set())
+        made(Program([Owner()], Writer), scope["case"], list(keywords.values()), {}, set())
     except NotNative as why:
         return str(why).partition(", ")[2]
     return ""

@@ -39,7 +39,7 @@ class Reader:
         )
         self.is_plant, self.state, self.ticks, self.epoch, self.namespace = plant, "running", 0, 0, ""
         self.kept, self.values, self.paces, self.files = [], {}, [], None
-        self.record = SimpleNamespace(foreign={}, sink=SimpleNamespace(add=lambda *said: self.kept.append(said)))
+        self.record = SimpleNamespace(foreign={}, sink=SimpleNamespace(add=lambda *entry: self.kept.append(entry)))
         self.account = SimpleNamespace(refuse=self._refuse, write_status=lambda: None)
         self.step = SimpleNamespace(
             stamps={},
@@ -86,7 +86,7 @@ def state(name="x"):
     return joint_state(name, f"{name}", ["q"], position="m")
 
 
-def said(port, stamp, value):
+def message_of(port, stamp, value):
     return port.layout().encode(stamp, (value,))
 
 
@@ -120,7 +120,7 @@ class Sender:
     def message(self, k):
         t = self.spoken[k]
         value = math.nan if t in self.bad else t / 1e9 + 1.0
-        return said(self.port, k if self.counted else t, value)
+        return message_of(self.port, k if self.counted else t, value)
 
     def left(self):
         return ["message"] * (self.came < len(self.spoken)) + ["tick"] * (self.silent and self.told < len(self.ticks))
@@ -201,13 +201,13 @@ def test_of_a_faster_sender_only_the_needed_message_is_used_whatever_came_before
     reader = Reader("0.03", inputs={"x": link("0.01")})
     row = reader.row(state())
     for stamp in (0, 10, 20):
-        row.receive(said(row.port, stamp * MS, stamp + 0.5))
+        row.receive(message_of(row.port, stamp * MS, stamp + 0.5))
     for k, (arrived, value) in enumerate([((30,), 0.5), ((40, 50, 60), 30.5), ((70, 80, 90), 60.5)]):
         reader.ticks = k
         reader.table.await_tick(reader.t)
         assert (reader.table.missing, reader.values["x"]) == (0, (value,))
         for stamp in arrived:
-            row.receive(said(row.port, stamp * MS, stamp + 0.5))
+            row.receive(message_of(row.port, stamp * MS, stamp + 0.5))
     assert not reader.refusals
 
 
@@ -229,8 +229,8 @@ def test_a_message_of_no_tick_or_a_repeated_one_is_refused_with_what_was_expecte
         (-20 * MS, "stamp -0.02 s from sender, expected 0 s (already there)"),
     ):
         before = len(reader.refusals)
-        row.receive(said(row.port, stamp, 1.0))
-        assert [said for _, said in reader.refusals[before:]] == ([text] if text else []), stamp
+        row.receive(message_of(row.port, stamp, 1.0))
+        assert [reported for _, reported in reader.refusals[before:]] == ([text] if text else []), stamp
     for state_of_it in ("done", "failed"):
         reader.state = state_of_it
         row.receive(b"")
@@ -241,13 +241,13 @@ def test_repeated_messages_for_others_and_those_after_a_refused_one_are_skipped(
     reader = Reader(inputs={"x": link()}, guests=True)
     row = reader.row(state())
     reader.table.await_tick(0)
-    row.receive(said(row.port, 0, 1.0))
-    row.receive(said(row.port, 0, 2.0))
+    row.receive(message_of(row.port, 0, 1.0))
+    row.receive(message_of(row.port, 0, 2.0))
     assert (reader.values["x"], reader.refusals) == ((1.0,), [])
     reader.table.await_tick(10 * MS)
-    row.receive(said(row.port, 10 * MS, math.nan))
+    row.receive(message_of(row.port, 10 * MS, math.nan))
     assert reader.step.bad
-    row.receive(said(row.port, 10 * MS, 3.0))  # a valid message is too late
+    row.receive(message_of(row.port, 10 * MS, 3.0))  # a valid message is too late
     assert (reader.values["x"], len(reader.refusals)) == ((1.0,), 1)
     row.receive(b"\0\1\0\0")  # its tick cannot be read
     assert (len(reader.refusals), row.used) == (2, 10 * MS)
@@ -257,9 +257,9 @@ def test_a_plant_waits_for_a_good_command():
     reader = Reader(plant=True, inputs={"u": link(at_end=False)})
     row = reader.row(command("u", "u", ["a"], "N"))
     reader.table.await_tick(0)
-    row.receive(said(row.port, 0, math.inf))
+    row.receive(message_of(row.port, 0, math.inf))
     assert (reader.table.missing, reader.step.bad, reader.turns) == (1, False, 0)
-    row.receive(said(row.port, 0, 2.0))
+    row.receive(message_of(row.port, 0, 2.0))
     assert (reader.table.missing, reader.turns, reader.values["u"]) == (0, 1, (2.0,))
 
 
@@ -272,9 +272,9 @@ def test_arrays_are_counted_one_by_one(guests, returns):
         row = reader.row(port)
         for k in range(2):
             reader.table.await_tick(k * 10 * MS)
-            row.receive(said(port, k, float(k)))
+            row.receive(message_of(port, k, float(k)))
         reader.table.await_tick(20 * MS)
-        row.receive(said(port, number, 7.0))
+        row.receive(message_of(port, number, 7.0))
         if outcome == "taken":
             assert (reader.values["x"], row.received) == ((7.0,), 3)
         elif outcome == "lost":
@@ -296,14 +296,14 @@ def test_delayed_messages_are_counted_and_keep_the_time_at_which_they_were_measu
         reader.ticks = k
         reader.table.await_tick(reader.t)
         assert reader.table.missing == 1
-        row.receive(said(port, stamp, k + 0.5))
+        row.receive(message_of(port, stamp, k + 0.5))
         assert reader.values["x"] == Sample(stamp, (k + 0.5,))
         assert reader.step.stamps["x"]() == reader.t  # the tick to which it belongs
     reader = Reader(inputs={"x": link(delayed=True)}, returns=True)
     row = reader.row(port)
     for k, number in enumerate((0, 0, 1, 0)):  # a repeated message has the same number
         reader.table.await_tick(10 * MS * min(k, 1))
-        row.receive(numbered(number, said(port, 100 + k, float(k))))
+        row.receive(numbered(number, message_of(port, 100 + k, float(k))))
     assert (reader.values["x"], reader.refusals) == (Sample(102, (2.0,)), [])
 
 
@@ -312,7 +312,7 @@ def test_a_restarted_node_ignores_messages_that_it_has_missed():
     reader.files = lambda: None
     row = reader.row(array("x", "x", {"q": 1}, "m"))
     reader.table.await_tick(0)
-    row.receive(said(row.port, 3, 1.0))
+    row.receive(message_of(row.port, 3, 1.0))
     assert (row.received, reader.failures, reader.table.missing) == (0, [], 1)
     plain = reader.row(state("y"))  # a node started by hand is paired with any publisher
     assert plain.who == "another node"
@@ -353,14 +353,14 @@ def test_the_newest_value_is_valid_from_the_tick_at_which_it_arrived_and_is_reco
     assert isinstance(row, Newest)
     for k, stamp in ((3, 17), (4, 2)):
         reader.ticks = k
-        row.receive(said(row.port, stamp, float(k)))
+        row.receive(message_of(row.port, stamp, float(k)))
         assert (reader.values["x"], row.stamp) == ((float(k),), reader.t)
-        assert reader.kept[-1] == (5, reader.t, said(row.port, stamp, float(k)))
+        assert reader.kept[-1] == (5, reader.t, message_of(row.port, stamp, float(k)))
     row.receive(b"")
     assert (reader.step.bad, reader.values["x"]) == (True, (4.0,))
     counted = reader.row(array("y", "y", {"q": 1}, "m", held=True))
     for number, value in ((3, 1.0), (3, 2.0), (6, 3.0)):
-        counted.receive(said(counted.port, number, value))
+        counted.receive(message_of(counted.port, number, value))
     assert reader.values["y"] == (3.0,)
     assert reader.refusals[1:] == [("y", "number 3 from another node, expected 4 (already there)")]
     assert reader.notes == [("WARN", "lost y", "2 messages of another node are lost")]
@@ -399,13 +399,13 @@ def test_an_external_message_is_recorded_at_the_tick_that_uses_it():
     for stamps in ((0,), (10, 20), (), (30,)):  # one message arrives ahead of its time
         reader.table.await_tick(reader.t)
         for stamp in stamps:
-            row.receive(said(row.port, stamp * MS, 1.0))
-        assert reader.kept[-1] == (2, reader.t, said(row.port, reader.t, 1.0))
+            row.receive(message_of(row.port, stamp * MS, 1.0))
+        assert reader.kept[-1] == (2, reader.t, message_of(row.port, reader.t, 1.0))
         reader.ticks += 1
     assert len(reader.kept) == 4
     reader.record.sink = None
     reader.table.await_tick(reader.t)
-    row.receive(said(row.port, reader.t, 1.0))
+    row.receive(message_of(row.port, reader.t, 1.0))
     assert row.used == reader.t
 
 
@@ -440,8 +440,8 @@ def test_a_node_that_follows_the_clock_waits_for_each_of_its_ticks_once():
     assert row.publishers == 1
 
 
-def acknowledged(reader, who):
-    return lambda t, sent=(): reader.middleware.heard[f"/{who}/tick"](TickWriter()(t, sent))
+def acknowledged(reader, name):
+    return lambda t, sent=(): reader.middleware.heard[f"/{name}/tick"](TickWriter()(t, sent))
 
 
 def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
@@ -455,7 +455,7 @@ def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
     assert [r.who for r in table.rows] == ["sender", "second", "follower"]
     assert [r.who for r in table.unpaced] == ["sender"]
     assert [type(p).__name__ for p in reader.paces] == ["Ticks", "Behind", "Ticks"]
-    second, follower, sender = (acknowledged(reader, who) for who in ("second", "follower", "sender"))
+    second, follower, sender = (acknowledged(reader, node_name) for node_name in ("second", "follower", "sender"))
     table.await_tick(0)
     assert [r.who for r in table.rows if not r.have] == ["sender", "second"]
     sender(0)
@@ -471,7 +471,7 @@ def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
         second(k * 10 * MS)
     table.await_tick(20 * MS)
     assert [r.who for r in table.rows if not r.have] == ["sender"]
-    row.receive(said(row.port, 20 * MS, 4.0))
+    row.receive(message_of(row.port, 20 * MS, 4.0))
     assert reader.values["x"] == (4.0,)
     for k in range(3, 9):
         sender(k * 10 * MS)
@@ -490,7 +490,7 @@ def test_the_owner_of_the_clock_waits_for_the_messages_of_the_previous_tick():
     """So the others' ticks run beside its own; an owner alone needs no message for the first."""
     reader = Reader(acks={"law": "0.01", "slow": "0.02"}, owns_clock=True)
     reader.table.follow_ticks(set(), lambda: None)
-    law, slow = (acknowledged(reader, who) for who in ("law", "slow"))
+    law, slow = (acknowledged(reader, name) for name in ("law", "slow"))
     reader.table.await_tick(0)
     wants = {row.who: row.want for row in reader.table.rows}
     assert wants == {"law": 0, "slow": 0}
@@ -522,10 +522,10 @@ def test_after_a_restart_a_row_continues_after_the_used_message_and_reads_what_w
     row.resume(20 * MS, 20 * MS)
     reader.table.await_tick(20 * MS)
     assert reader.table.missing == 0
-    row.recall(3, said(row.port, 40 * MS, 5.0))
+    row.recall(3, message_of(row.port, 40 * MS, 5.0))
     reader.table.await_tick(30 * MS)
     assert reader.table.missing == 1
-    row.recall(2, said(row.port, 30 * MS, 4.0))
+    row.recall(2, message_of(row.port, 30 * MS, 4.0))
     assert (reader.table.missing, reader.values["x"], reader.turns) == (0, (4.0,), 1)
     row.resume(10 * MS, 10 * MS)  # never back
     assert (row.used, row.have) == (30 * MS, False)
@@ -541,7 +541,7 @@ def test_after_a_restart_a_row_continues_after_the_used_message_and_reads_what_w
     row.resume(-1, 10 * MS)
     row.count(4, [10 * MS])
     row.acknowledge(10 * MS, True)  # known already
-    row.receive(said(row.port, 4, 6.0))
+    row.receive(message_of(row.port, 4, 6.0))
     counted.table.await_tick(10 * MS)
     assert (row.received, counted.values["x"], counted.table.missing) == (5, (6.0,), 0)
 
@@ -552,7 +552,7 @@ def test_a_row_stores_at_most_a_hundred_thousand_early_messages(monkeypatch):
     row = reader.row(state())
     reader.table.await_tick(0)
     for k in range(1, 6):
-        row.receive(said(row.port, k * 10 * MS, 1.0))
+        row.receive(message_of(row.port, k * 10 * MS, 1.0))
     assert sorted(row.pending) == [10 * MS, 20 * MS, 30 * MS]
     assert [text for _, text in reader.refusals] == [f"stamp 0.0{k} s from sender, expected 0 s" for k in (4, 5)]
 
@@ -651,8 +651,8 @@ def test_a_run_without_progress_ends_after_its_timeout_and_names_what_it_waits_f
     row.have = True  # it waits for no message, because a user holds the rig
     assert after(reader, stalls, 100.0) == "running"
     reader, row, stalls = stands()
-    row.receive(said(row.port, 130 * MS, 1.0))
-    row.receive(said(row.port, 120 * MS, 1.0))
+    row.receive(message_of(row.port, 130 * MS, 1.0))
+    row.receive(message_of(row.port, 120 * MS, 1.0))
     row.receive(b"")
     reader.table.signs_of_life = 1
     assert after(reader, stalls, 11.0) == (
@@ -666,7 +666,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_names_what_it_waits_f
         reader, row, stalls = stands()
         reader.links.guests = guests
         row.used = 40 * MS
-        row.receive(said(row.port, 0, 1.0))
+        row.receive(message_of(row.port, 0, 1.0))
         reader.table.signs_of_life = 1
         result = after(reader, stalls, 11.0)
         assert result.startswith("nothing stamped t = 0.05 s within 11.0 s on x from sender")
@@ -796,7 +796,7 @@ class Drive:
         self.senders.await_tick(t)
 
 
-def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, clock=False, **links):
+def comes_back(record, own=(), answered=(), departed=(), inputs=None, ports=None, clock=False, **links):
     """A reader that has died, and the recordings of the others: times (ms) and values by topic, by sender how far."""
     kinds = {"x": link(), "s": InputLink(period="0.01", node="quiet", port="out", sporadic=True), "c": link()}
     reader = Reader(inputs=kinds if inputs is None else inputs, returns=True, **links)
@@ -822,7 +822,7 @@ def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, cl
                 )
         return made
 
-    files = Files(recording(record), recording(dict(own)), dict(answered), frozenset(gone))
+    files = Files(recording(record), recording(dict(own)), dict(answered), frozenset(departed))
     back = Comeback(Drive(reader), lambda: files)
     seen = []
 
@@ -870,7 +870,7 @@ def test_a_restarted_node_answers_the_ticks_with_complete_inputs_and_waits_for_t
     assert [row.who for row in reader.table.rows if not row.have] == ["sender"]
     assert rows["c"].received == 6
     assert rows["x"].want == 50 * MS
-    rows["x"].receive(said(rows["x"].port, 50 * MS, 9.5))
+    rows["x"].receive(message_of(rows["x"].port, 50 * MS, 9.5))
     assert (reader.table.missing, reader.values["x"], reader.values["c"], reader.turns) == (0, (9.5,), (5.25,), 1)
 
 
@@ -896,11 +896,11 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
         assert [k for k, *_ in seen] == ([] if last is None else [*range(last + 1)])
         assert rows["s"].reached == (-10 * MS if last is None else 0)
     fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # no message has been recorded yet
-    rows["x"].receive(said(rows["x"].port, 0, 3.0))
-    rows["s"].receive(said(rows["s"].port, 0, 4.0))
+    rows["x"].receive(message_of(rows["x"].port, 0, 3.0))
+    rows["s"].receive(message_of(rows["s"].port, 0, 4.0))
     assert (fresh.table.missing, fresh.values["x"], fresh.values["s"]) == (0, (3.0,), (4.0,))
     ended = comes_back(
-        record, answered={"quiet": math.inf, "sender": math.inf}, inputs=kinds, ports=ports, gone={"quiet"}
+        record, answered={"quiet": math.inf, "sender": math.inf}, inputs=kinds, ports=ports, departed={"quiet"}
     )
     reader, rows, back, seen, *_ = ended
     assert len(seen) == reader.schedule.count()  # all messages had been published

@@ -38,15 +38,15 @@ def plants():
 PLANTS = plants()
 
 
-def stepped(held, first, count):
-    plant = held.block
+def stepped(node, first, count):
+    plant = node.block
     period = to_ns(plant.p.period)
     inputs, _ = plant.ports(plant.p)
     safe = {port.name: None if port.held else port.safe for port in inputs}
     for k in range(first, first + count):
-        held.outputs(k * period)
-        held.advance(k * period, **safe)
-    return held.x
+        node.outputs(k * period)
+        node.advance(k * period, **safe)
+    return node.x
 
 
 def test_all_plants_are_tested():
@@ -56,11 +56,11 @@ def test_all_plants_are_tested():
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_names_its_state(name):
     plant = PLANTS[name]()
-    held = ByHand(plant)
-    begin = held.x
+    node = ByHand(plant)
+    begin = node.x
     if name != "clock":
         assert len(set(begin._fields)) == len(begin) > 0
-    later = stepped(held, 0, 3)
+    later = stepped(node, 0, 3)
     assert type(later) is type(begin)
     assert np.isfinite([*numbers(begin), *numbers(later)]).all()
     assert plant.first() == begin

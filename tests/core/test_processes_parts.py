@@ -115,10 +115,10 @@ def fixed(monkeypatch):
 @pytest.mark.parametrize("exclusive", [False, True])
 @pytest.mark.parametrize("bare", [False, True], ids=["ours", "bare"])
 def test_a_participant_gets_its_ports_and_in_a_container_the_property(exclusive, bare, fixed):
-    given = executables.PROFILE.read_bytes()
+    profile_text = executables.PROFILE.read_bytes()
     if bare:
-        given = b"<profiles><participant/></profiles>"
-    root = ElementTree.fromstring(profile.own(given, exclusive=exclusive))
+        profile_text = b"<profiles><participant/></profiles>"
+    root = ElementTree.fromstring(profile.own(profile_text, exclusive=exclusive))
     space = "" if bare else "d:"
     (participant,) = root.iter(f"{{{SPACE['d']}}}participant" if not bare else "participant")
     (rtps,) = participant.findall(f"{space}rtps", SPACE)
@@ -136,8 +136,8 @@ def test_a_participant_gets_its_ports_and_in_a_container_the_property(exclusive,
 
 def test_ports_and_properties_of_a_users_profile_stay(fixed):
     rtps = "<rtps><port><portBase>1</portBase></port><propertiesPolicy><properties><property><name>a</name></property>"
-    given = f"<profiles><participant>{rtps}</properties></propertiesPolicy></rtps></participant></profiles>"
-    root = ElementTree.fromstring(profile.own(given.encode(), exclusive=True))
+    profile_text = f"<profiles><participant>{rtps}</properties></propertiesPolicy></rtps></participant></profiles>"
+    root = ElementTree.fromstring(profile.own(profile_text.encode(), exclusive=True))
     assert [e.text for e in root.iter("portBase")] == ["1"]
     assert [e.text for e in root.iter("name")] == ["a", "fastdds.ignore_local_endpoints"]
     assert len([*root.iter("properties")]) == 1
@@ -146,16 +146,16 @@ def test_ports_and_properties_of_a_users_profile_stay(fixed):
             profile.own(text)
 
 
-@pytest.mark.parametrize("given", [None, "ours", "theirs"])
-def test_while_a_participant_starts_its_profile_is_that_of_the_environment(given, fixed, tmp_path, monkeypatch):
-    theirs = tmp_path / "given.xml"
-    theirs.write_bytes(executables.PROFILE.read_bytes())
+@pytest.mark.parametrize("profile_of", [None, "ours", "theirs"])
+def test_while_a_participant_starts_its_profile_is_that_of_the_environment(profile_of, fixed, tmp_path, monkeypatch):
+    user_file = tmp_path / "given.xml"
+    user_file.write_bytes(executables.PROFILE.read_bytes())
     monkeypatch.delenv(profile.VARIABLE, raising=False)
     monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
-    if given:
-        monkeypatch.setenv(profile.VARIABLE, str(theirs if given == "theirs" else executables.LOOPBACK))
+    if profile_of:
+        monkeypatch.setenv(profile.VARIABLE, str(user_file if profile_of == "theirs" else executables.LOOPBACK))
     before = os.environ.get(profile.VARIABLE)
-    for silence, lease in ((None, "3"), (7.2, "3" if given == "theirs" else "10")):  # a second or more, and two
+    for silence, lease in ((None, "3"), (7.2, "3" if profile_of == "theirs" else "10")):  # a second or more, and two
         with profile.joining(silence=silence):
             file = Path(os.environ[profile.VARIABLE])
             assert (file.name[:8], file.suffix) == ("softrig-", ".xml")
@@ -163,7 +163,7 @@ def test_while_a_participant_starts_its_profile_is_that_of_the_environment(given
             assert file.read_bytes().startswith(b"<?xml ")
             assert root.find(".//d:leaseDuration/d:sec", SPACE).text == lease
             assert root.find(".//d:port", SPACE) is not None
-            assert (root.find(".//d:userTransports", SPACE) is None) is (given == "theirs")
+            assert (root.find(".//d:userTransports", SPACE) is None) is (profile_of == "theirs")
             assert root.find(".//d:property", SPACE) is None
         assert os.environ.get(profile.VARIABLE) == before
         assert not file.exists()
@@ -211,8 +211,8 @@ def test_a_node_is_reachable_from_other_hosts_only_on_request(monkeypatch, tmp_p
             assert executables.default_profile().name == executables.given_profile().name == name
             patch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/other.xml")
             assert executables.given_profile() == Path("/other.xml")
-    given = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_LOG_DIR", "PYTHONUNBUFFERED", "OMP_NUM_THREADS")
-    for name in (*given, "OPENBLAS_NUM_THREADS"):
+    always_set = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_LOG_DIR", "PYTHONUNBUFFERED", "OMP_NUM_THREADS")
+    for name in (*always_set, "OPENBLAS_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
     monkeypatch.setenv("OTHER", "kept")
@@ -308,8 +308,8 @@ def test_a_node_is_passed_its_changed_parameters_and_how_it_runs(tmp_path):
     again = spawning.node_parameters(rig, member, 9, "lockstep", recorders=("bag",), returns=True)
     links = json.loads(again["run.links"])
     assert (links["returns"], links["public"], links["recorders"], links["followers"]) == (True, True, ["bag"], [])
-    given = {m.name: {"k": 1, "text": 'a "b"', "list": [1.0, 2.0]} for m in rig.members}
-    arguments = spawning.container_arguments(rig.members[:2], given, tmp_path, {"/clock": "/c"})
+    parameters = {m.name: {"k": 1, "text": 'a "b"', "list": [1.0, 2.0]} for m in rig.members}
+    arguments = spawning.container_arguments(rig.members[:2], parameters, tmp_path, {"/clock": "/c"})
     file = tmp_path / "plant.params.yaml"
     assert arguments == [
         *("faultrig", "plant", "--ros-args", "-r", "__node:=plant", "--params-file", str(file)),
@@ -317,7 +317,7 @@ def test_a_node_is_passed_its_changed_parameters_and_how_it_runs(tmp_path):
         *("faultrig", "source", "--ros-args", "-r", "__node:=source"),
         *("--params-file", str(tmp_path / "source.params.yaml"), "-r", "/clock:=/c"),
     ]
-    assert yaml.safe_load(file.read_text()) == {"/**": {"ros__parameters": given["plant"]}}
+    assert yaml.safe_load(file.read_text()) == {"/**": {"ros__parameters": parameters["plant"]}}
 
 
 def test_of_a_node_that_dies_twice_the_longer_recording_is_kept(tmp_path):
@@ -749,32 +749,32 @@ def test_a_fork_server_serves_settings_that_a_node_reads_when_it_starts():
 
 
 def test_an_answer_of_the_server_belongs_to_the_newest_request_and_a_dead_process_was_killed(monkeypatch):
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    near_end, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     server = object.__new__(fork_server.ForkServer)
-    server._lock, server._asked, server._link, server._owner = threading.Lock(), 0, ours, -1
+    server._lock, server._asked, server._link, server._owner = threading.Lock(), 0, near_end, -1
     for number, status in ((1, 7), (1, 8), (2, 9)):  # an answer to a question that a signal has cut off
-        theirs.send(json.dumps({"number": number, "status": status}).encode())
+        far_end.send(json.dumps({"number": number, "status": status}).encode())
     assert [server.status(5), server.status(6)] == [7, 9]
-    asked = [json.loads(theirs.recv(999)) for _ in range(2)]
+    asked = [json.loads(far_end.recv(999)) for _ in range(2)]
     assert asked == [{"status": 5, "number": 1}, {"status": 6, "number": 2}]
-    theirs.send(b'{"number": 3}')
+    far_end.send(b'{"number": 3}')
     assert server.status(5) == -signal.SIGKILL
     size = len(json.dumps({"status": 5, "number": 4}))
     monkeypatch.setattr(fork_server, "LARGEST", size - 1)
-    theirs.send(b'{"number": 4, "status": 1}')
+    far_end.send(b'{"number": 4, "status": 1}')
     assert server.status(5) == -9  # the request is longer than the limit
     monkeypatch.setattr(fork_server, "LARGEST", size)
-    theirs.send(b'{"number": 5, "status": 6}')
+    far_end.send(b'{"number": 5, "status": 6}')
     assert server.status(5) == 6
-    theirs.close()
+    far_end.close()
     assert server.status(5) == -9
 
 
 def test_a_failing_server_is_replaced_once_and_then_the_executable_starts_by_itself(monkeypatch):
     asked = []
     for answers, started in (([5], 5), ([None, 6], 6), ([None, None, 7], None)):
-        given = iter(answers)
-        server = SimpleNamespace(start=lambda *what, given=given: asked.append(what) or next(given))
+        replies = iter(answers)
+        server = SimpleNamespace(start=lambda *what, replies=replies: asked.append(what) or next(replies))
         monkeypatch.setattr(fork_server, "prepare", lambda variables, server=server: server)
         monkeypatch.setattr(fork_server, "_server", "old")
         assert fork_server.start_node("p", "e", ["c"], {"A": "1"}, 2) == started
@@ -819,8 +819,8 @@ def test_a_missing_folder_of_a_run_is_created(tmp_path, monkeypatch, lag_rig):
 class Declares:
     """A node that is passed parameters and records what is declared."""
 
-    def __init__(self, **given):
-        kinds = {k.replace("__", "."): v for k, v in given.items()}
+    def __init__(self, **keywords):
+        kinds = {k.replace("__", "."): v for k, v in keywords.items()}
         self._parameter_overrides = {
             k: SimpleNamespace(value=v, type_=Parameter.Type.NOT_SET if v is None else None) for k, v in kinds.items()
         }

@@ -29,7 +29,7 @@ class Stage:
                      "free_domain": self._free,
                      "remove_leftovers": lambda domain=None: self.asked.append(("leftovers", domain)),
                      "lacking": lambda n: self.asked.append(("memory for", n)) or self.short,
-                     "environment": lambda *given, **named: self.asked.append((given, named)) or {},
+                     "environment": lambda *arguments, **named: self.asked.append((arguments, named)) or {},
                      "start": self._start, "supervise": self._supervise,
                      "stop": lambda children: self.asked.append("stop"), "holders": lambda domains: " (by x)",
                      "gathered": lambda rig, folder, names: (Recording([]), {n: dict(self.status) for n in names}),
@@ -79,7 +79,7 @@ class Stage:
 
 @pytest.fixture
 def stage(monkeypatch, tmp_path):
-    return lambda *given, **keys: Stage(monkeypatch, tmp_path, *given, **keys)
+    return lambda *arguments, **keys: Stage(monkeypatch, tmp_path, *arguments, **keys)
 
 
 def test_a_run_goes_through_its_stages_in_order(stage, tmp_path):
@@ -143,9 +143,9 @@ def test_facts_that_a_user_should_know_of_a_run_are_logged(stage):
     ]
     # so that no node uses the little shared memory
     assert one.started.variables == {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-    given = stage()
-    given.run(domain=120)
-    assert (given.said, given.started.variables) == ([], {})
+    started = stage()
+    started.run(domain=120)
+    assert (started.said, started.started.variables) == ([], {})
 
 
 def test_the_end_of_a_run_is_reported_once_and_a_refused_parameter_is_an_error_of_the_scenario(stage, monkeypatch):
@@ -214,10 +214,10 @@ def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(t
     )
     assert not child.status.exists()
     assert not child.shard.exists()
-    given = (tmp_path / "gain.params.yaml").read_text()
+    content = (tmp_path / "gain.params.yaml").read_text()
     for line in (f'run.shard: "{child.shard}"', f'run.status: "{child.status}"', "run.paused: true", "run.seed: 3"):
-        assert line in given
-    assert "run.again" not in given
+        assert line in content
+    assert "run.again" not in content
     by_server = None
     spawning.start(run, [members["gain"]])
     assert child.log.read_text() == "x"  # the log has only this start
@@ -234,9 +234,9 @@ def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(t
     spawning.start(run._replace(record=False), [members["gain"]], again=True)
     assert child.log.read_text() == "xx"  # appended to the log of the node that died
     assert (tmp_path / "gain.shard.died").read_text() == "what it said"
-    given = (tmp_path / "gain.params.yaml").read_text()
+    content = (tmp_path / "gain.params.yaml").read_text()
     for line in ('run.shard: ""', f'run.again: "{tmp_path}"', "run.paused: false"):
-        assert line in given
+        assert line in content
     both = spawning.start(run, [members["plant"], members["source"]])
     assert [c.log.name for c in both] == ["plant+source.log"] * 2
     assert [c.status.name for c in both] == ["plant.status", "source.status"]
@@ -411,8 +411,8 @@ def knows():
             {k: v for k, v in first.items() if all(t.get(k) == v for t in entries.values())} if len(entries) > 1 else {}
         )
         yield f"{kind}: {', '.join(f'{k} {v}' for k, v in alike.items() if v not in ([], {}))}"
-        for who, about in entries.items():
-            yield f"  {who}"
+        for node, about in entries.items():
+            yield f"  {node}"
             for name, value in about.items():
                 if name == "inputs":
                     for port, way in value.items():

@@ -391,14 +391,14 @@ def test_results_of_a_law_with_static_variables_do_not_depend_on_order_or_worker
     values = [0.3, 0.5, 0.4]
     rows = []
     for k, (order, workers) in enumerate([(values, 1), (values[::-1], 1), (values, 2)]):
-        given = {
+        parameters = {
             "name": "s",
             "title": "",
             "scenario": str(scenario),
             "grid": {"dc_motor_plant.R": order},
             "figures": ["peak_current"],
         }
-        log = run_study(Study.model_validate(given), tmp_path / f"s{k}", workers=workers)
+        log = run_study(Study.model_validate(parameters), tmp_path / f"s{k}", workers=workers)
         rows.append({row["overrides"]["dc_motor_plant.R"]: row["figures"] for row in log.rows()})
         assert not any(row["error"] for row in log.rows())
     assert rows[0] == rows[1] == rows[2]

@@ -429,14 +429,14 @@ def beside_a_dead_law():
     world.match()
     row.matched(1)
 
-    def speak(who, until, every=10):
+    def speak(node, until, every=10):
         """Commands of one of the two until a time in ms, with its number each; returns the newest one that the plant
         has.
         """
         for t in range(world.now, run.epoch + until * MS, every * MS):
             world.run(t)
             world.now = t
-            say[who](layout.encode(t, (float(who + 1),)))
+            say[node](layout.encode(t, (float(node + 1),)))
         world.run(world.now + MS)
         return run.adapters["plant"].values["command"] if row.arrived is not None else None
 

@@ -153,9 +153,9 @@ def test_shards_of_a_run_in_process_are_the_same_in_memory_and_on_the_disk(seed,
             assert kinds == ({Stored} if held == 0 else {Columns})
             assert [topic.number for topic in recording.topics.values()] == [len(text) for text in plain.all().values()]
             for topic in list(PORTS)[:3]:
-                found = Signals(recording).table(topic)
-                columns = {label: x.tolist() for label, x in found.columns.items()}
-                assert tables.setdefault(topic, (found.t.tolist(), columns)) == (found.t.tolist(), columns)
+                signals = Signals(recording).table(topic)
+                columns = {label: x.tolist() for label, x in signals.columns.items()}
+                assert tables.setdefault(topic, (signals.t.tolist(), columns)) == (signals.t.tolist(), columns)
             holds(shards.recording(), plain.all())
     recording.release()
     assert not (tmp_path / "log").exists()
@@ -181,16 +181,16 @@ def test_columns_on_the_disk_stay_there(tmp_path, monkeypatch):
     values = np.arange(9.0 * SIZE).reshape(9, SIZE)
     shards.rows(ROW)(np.arange(9), values)
     shards.flush()
-    found = Signals(shards.recording())
-    names = [f"{topic}/{label}" for topic in list(PORTS)[:3] for label in found.table(topic).columns]
+    signals = Signals(shards.recording())
+    names = [f"{topic}/{label}" for topic in list(PORTS)[:3] for label in signals.table(topic).columns]
     for k, name in enumerate(names):
-        t, x = found[name]
+        t, x = signals[name]
         assert is_long(t)
         assert is_long(x)
         assert t.tolist() == (np.arange(9) / 1e9).tolist()
         assert x.tolist() == (values[:, k] != 0.0 if name.startswith("rig/stop") else values[:, k]).tolist()
     # another process has the numbers, not the file
-    assert pickle.loads(pickle.dumps(found.recording)).topics == found.recording.topics
+    assert pickle.loads(pickle.dumps(signals.recording)).topics == signals.recording.topics
 
 
 def stretches():
@@ -237,12 +237,12 @@ def around(recording, last):
 def test_ticks_around_native_ones_are_joined_without_a_copy_where_there_is_room(last):
     recording = Recording((name, port.msgtype) for name, port in PORTS.items())
     table = around(recording, last)
-    found = Signals(recording)
+    signals = Signals(recording)
     for k, name in enumerate(("x", "y")):
-        column = found[f"rig/state/{name}/position"].x
+        column = signals[f"rig/state/{name}/position"].x
         assert column.tolist() == [0.5 * k, *(1.0 + k + 2.0 * np.arange(3)), *(values[k] for values in last)]
         assert np.shares_memory(column, table) is (len(last) < 2)
-    assert found["rig/state/x/position"].t.tolist() == (np.arange(4 + len(last)) / 1e8).tolist()
+    assert signals["rig/state/x/position"].t.tolist() == (np.arange(4 + len(last)) / 1e8).tolist()
 
 
 def test_a_recording_that_goes_on_after_another_leaves_its_numbers_alone():
@@ -321,7 +321,7 @@ def shard(path, seed, turns=12):
     return ends
 
 
-def found(recording):
+def signals(recording):
     return {name: list(zip(t.times, t.data, strict=True)) for name, t in recording.topics.items()}
 
 
@@ -335,7 +335,7 @@ def test_a_shard_cut_anywhere_gives_its_whole_records_and_the_number_of_remainin
         recording = Recording(TOPICS)
         over = recording.read_shard(path)
         at, expected = max((e for e in ends if e[0] <= cut), key=lambda e: e[0], default=(0, ends[0][1]))
-        assert (over, found(recording)) == (cut - at, expected)
+        assert (over, signals(recording)) == (cut - at, expected)
 
 
 def test_rows_without_numbers_are_read_to_the_last(tmp_path):
@@ -348,7 +348,7 @@ def test_rows_without_numbers_are_read_to_the_last(tmp_path):
     writer.close()
     recording = Recording([("/clock", clock.msgtype), ("x", "std_msgs/msg/Float64")])
     assert recording.read_shard(path) == 0
-    assert found(recording) == {"/clock": [(t, clock.encode(t, ())) for t in (1, 3)], "x": [(2, b"between")]}
+    assert signals(recording) == {"/clock": [(t, clock.encode(t, ())) for t in (1, 3)], "x": [(2, b"between")]}
 
 
 @pytest.mark.parametrize("limit", [97, 150, 1 << 22])
@@ -369,12 +369,12 @@ def test_a_growing_shard_is_read_as_it_is_written(limit, tmp_path, monkeypatch):
             more = tail.read(recording)
             if not more:
                 break
-        assert found(recording) == max((e for e in ends if e[0] <= size), key=lambda e: e[0])[1]
+        assert signals(recording) == max((e for e in ends if e[0] <= size), key=lambda e: e[0])[1]
     growing.write_bytes(whole)
     styles = 0
     while tail.read(recording):
         styles += 1
-    assert found(recording) == ends[-1][1]
+    assert signals(recording) == ends[-1][1]
     assert styles <= 1
 
 
@@ -440,14 +440,14 @@ def test_topics_of_a_shard_are_below_the_namespace_of_its_node(tmp_path):
     writer.close()
     recording = Recording([("said", "std_msgs/msg/Float64"), ("b/more", "std_msgs/msg/Float64")])
     assert recording.read_shard(path, "a/") == 0
-    assert found(recording) == {"said": [], "b/more": [(5, b"x")], EVENTS: [(6, b"y")]}
+    assert signals(recording) == {"said": [], "b/more": [(5, b"x")], EVENTS: [(6, b"y")]}
     assert shard_topics(path) == {"a/said": "std_msgs/msg/Float64", "a/b/more": "std_msgs/msg/Float64"}
     empty.write_bytes(path.read_bytes()[:30])
     assert shard_topics(empty) == {}
     empty.write_bytes(b"softrig shard 1\n" + path.read_bytes()[16:])  # a shard of another version
     assert shard_topics(empty) == {}
     both = read_shards([empty, none, path])
-    assert found(both) == {"a/said": [], "a/b/more": [(5, b"x")], EVENTS: [(6, b"y")]}
+    assert signals(both) == {"a/said": [], "a/b/more": [(5, b"x")], EVENTS: [(6, b"y")]}
     assert (relative("/clock"), relative("/a/b"), relative("a/b")) == ("/clock", "a/b", "a/b")
 
 

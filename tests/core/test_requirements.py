@@ -22,8 +22,8 @@ NODES = {"plant": "plant", "source": "source", "gain": "gain"}
 def requirement(formula, *, shared=None, duration=1.0, **about):
     """The rig of the test blocks with one requirement."""
     names = {"state": "state/lag/position", "command": "command/drive/effort", "level": 0.5} | (shared or {})
-    given = {"formula": formula, **about}
-    return rig_of(make_scenario(NODES, duration, shared=names, requirements={"it": given}))
+    keys = {"formula": formula, **about}
+    return rig_of(make_scenario(NODES, duration, shared=names, requirements={"it": keys}))
 
 
 def figure_of(rig, signals):
@@ -274,12 +274,12 @@ def test_a_file_whose_requirement_reaches_beyond_its_end_is_refused(tmp_path):
     ],
 )
 def test_a_requirement_is_at_most_as_long_as_its_run(formula, fits):
-    given = {"it": Requirement(formula=formula)}
+    requirements = {"it": Requirement(formula=formula)}
     if fits:
-        check_lengths(2.0, {"x": None}, given)
+        check_lengths(2.0, {"x": None}, requirements)
         return
     with pytest.raises(ScenarioError, match=r"^requirement it: "):
-        check_lengths(2.0, {"x": None}, given)
+        check_lengths(2.0, {"x": None}, requirements)
 
 
 def test_the_record_extends_to_the_last_message_of_the_fastest_of_those_that_last_longest():
@@ -418,8 +418,8 @@ def test_a_formula_uses_numbers_of_nodes_and_figures_of_the_run():
 
     def margin(formula, **about):
         names = {k: LIVE[k] for k in ("state", "gain")}
-        given = {"shared": names, "requirements": {"it": {"formula": formula, **about}}, "figures": figures}
-        return figure_of(rig := rig_of(make_scenario(NODES, 1.0, **given)), simulate(rig).signals)
+        keys = {"shared": names, "requirements": {"it": {"formula": formula, **about}}, "figures": figures}
+        return figure_of(rig := rig_of(make_scenario(NODES, 1.0, **keys)), simulate(rig).signals)
 
     run = simulate(rig_of(make_scenario(NODES, 1.0, shared={"state": LIVE["state"]}, figures=figures)))
     t, x = run.signals["lag/state/x/position"]
@@ -456,8 +456,8 @@ def test_invalid_numbers_of_nodes_are_refused(formula, reason):
 
 def test_a_figure_without_a_value_leaves_its_requirement_not_judged():
     figures = {"never": {"function": "reach_time", "arguments": {"signal": "lag/state/x/position", "level": 1e6}}}
-    given = {"requirements": {"it": {"formula": "always[never, inf] state <= 9"}}, "figures": figures}
-    rig = rig_of(make_scenario(NODES, 1.0, shared={"state": LIVE["state"]}, **given))
+    keys = {"requirements": {"it": {"formula": "always[never, inf] state <= 9"}}, "figures": figures}
+    rig = rig_of(make_scenario(NODES, 1.0, shared={"state": LIVE["state"]}, **keys))
     result = figure_of(rig, simulate(rig).signals)
     assert not result.passed
     assert result.error == "not judged: the figure never of its formula never happens"

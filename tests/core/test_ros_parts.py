@@ -191,26 +191,26 @@ def test_diagnostics_contain_the_worst_report_and_the_rejected_messages():
     node, _hand, adapter, shown = face(Seen())
     node.readers["/diagnostics"] = 1
 
-    def told():
+    def statuses():
         shown._publish_diagnostics()
         (status,) = node.topics["/diagnostics"].pop().status
         return status.level, status.message, {v.key: v.value for v in status.values}
 
     usual = {"ticks": "0", "missed": "2", "solver": "fine"}
-    assert told() == (b"\0", "starting", usual)
+    assert statuses() == (b"\0", "starting", usual)
     adapter.step.note(Level.WARN, "late", "it is late")
     adapter.step.note(Level.WARN, "late", "it is late")
-    assert told() == (b"\1", "starting", usual | {"late": "2 x it is late"})
+    assert statuses() == (b"\1", "starting", usual | {"late": "2 x it is late"})
     adapter.step.note(Level.ERROR, "bad", "it is bad")
-    assert told()[0] == b"\2"
+    assert statuses()[0] == b"\2"
     adapter.step.reports.clear()
     one, two = (SimpleNamespace(port=SimpleNamespace(topic=t), refused=0, last_refusal="") for t in "ab")
     adapter.inputs, adapter.paces = [one], [two]
-    assert told() == (b"\0", "starting", usual | {"refused a": "0"})
+    assert statuses() == (b"\0", "starting", usual | {"refused a": "0"})
     two.refused, two.last_refusal = 3, "bad stamp"
-    assert told() == (b"\2", "bad stamp", usual | {"refused a": "0", "refused b": "3"})
+    assert statuses() == (b"\2", "bad stamp", usual | {"refused a": "0", "refused b": "3"})
     one.refused, one.last_refusal = 1, "bad value"
-    assert told()[1:] == ("bad value", usual | {"refused a": "1", "refused b": "3"})
+    assert statuses()[1:] == ("bad value", usual | {"refused a": "1", "refused b": "3"})
 
 
 def test_the_services_and_topics_of_a_node_follow_from_its_block_and_its_rig():
@@ -303,19 +303,22 @@ def test_sets_are_applied_at_the_next_tick_all_or_none():
     node.remark = ""
     (set_them,) = node.callbacks
 
-    def said(**values):
+    def set_from_outside(**values):
         result = set_them([Parameter(name.replace("__", "."), value=value) for name, value in values.items()])
         return result.successful, result.reason
 
-    assert said(run__seed=3) == (True, "")  # a parameter of the node and not of its block
-    assert said(run__pace=2.0) == (False, "run.pace is that of the node of the clock, in lockstep, once it has begun")
-    done, reason = said(gain=3.0)
+    assert set_from_outside(run__seed=3) == (True, "")  # a parameter of the node and not of its block
+    assert set_from_outside(run__pace=2.0) == (
+        False,
+        "run.pace is that of the node of the clock, in lockstep, once it has begun",
+    )
+    done, reason = set_from_outside(gain=3.0)
     assert (done, "gain" in reason) == (False, True)  # may not change
     assert not adapter.step.changes
     adapter.step.set = lambda values: [*values] if values.get("gain") == 4.0 else []
-    assert said(gain=5.0) == (True, "")
+    assert set_from_outside(gain=5.0) == (True, "")
     assert node.remark == ""
-    assert said(gain=4.0, limit=1.0) == (True, "")
+    assert set_from_outside(gain=4.0, limit=1.0) == (True, "")
     assert node.remark == "in place of gain, limit that was set before and had not taken effect"
     assert set_them([Parameter("gain", Parameter.Type.NOT_SET)]).reason == "parameter gain has no value, expected one"
 
@@ -323,10 +326,10 @@ def test_sets_are_applied_at_the_next_tick_all_or_none():
         raise ParameterError("no")
 
     adapter.step.set = refuse
-    assert said(gain=1.0) == (False, "no")
+    assert set_from_outside(gain=1.0) == (False, "no")
     for state in ("done", "failed"):
         adapter.state = state
-        assert said(gain=1.0) == (False, "the run is over")
+        assert set_from_outside(gain=1.0) == (False, "the run is over")
     assert tuning is not None
 
 
@@ -366,7 +369,7 @@ def test_parameters_set_together_are_applied_together_or_one_by_one():
     clocked = Serving(use_sim_time=False)
     assert clocked.ask(use_sim_time=False) == ([True], [""], [])
     assert clocked.ask(use_sim_time=True)[1][0].startswith("parameter use_sim_time is fixed from the start on")
-    for name, given, meant in (
+    for name, requested, meant in (
         ("k", 2, 2.0),
         ("k", "1e-05", 1e-05),
         ("n", 2, 2),
@@ -377,7 +380,7 @@ def test_parameters_set_together_are_applied_together_or_one_by_one():
         ("text", "b", "b"),
         ("row", ["1e-3", "2"], [0.001, 2.0]),
     ):
-        actual = node.ask(**{name: given})[2]
+        actual = node.ask(**{name: requested})[2]
         assert [{k: plain(Parameter(k, value=v)) if v != [] else [] for k, v in f.items()} for f in actual] == [
             {name: meant}
         ]
@@ -532,9 +535,9 @@ class Rcl:
         self.waitables.remove(what)
 
 
-def reported(given, port):
+def reported(qos, port):
     """What is logged of QoS parameters by a node that publishes one topic."""
-    node, lines = Rcl(**given), []
+    node, lines = Rcl(**qos), []
     middleware = RosMiddleware(node)
     middleware.log = lambda level, text: lines.append(text)
     middleware.sender("t", port.layout(), lines.append)
@@ -598,8 +601,8 @@ def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after
     monkeypatch.setattr(ros, "Garbage", lambda off: SimpleNamespace(step=lambda: received.append(("garbage", off))))
     processors = []
 
-    def processor(*given):
-        processors.append(given)
+    def processor(*arguments):
+        processors.append(arguments)
         return SimpleNamespace(step=lambda: received.append("processor"), number=3)
 
     monkeypatch.setattr(ros, "Processor", processor)
@@ -639,10 +642,10 @@ def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after
     del received[:]
     middleware.drain()
     assert received[0].nanoseconds == pytest.approx(10e9, abs=1e9)
-    held = Rcl()
-    monkeypatch.setattr(held.monitor, "close", lambda patience: received.append(patience))
+    paused = Rcl()
+    monkeypatch.setattr(paused.monitor, "close", lambda patience: received.append(patience))
     with pytest.raises(ros.RunError, match="a tick has not come to its end within 2 s"):
-        RosMiddleware(held).close()
+        RosMiddleware(paused).close()
     assert received[-1] == 2.0
     anywhere = RosMiddleware(Rcl())
     anywhere.subscribe("a", "std_msgs/msg/Float64", Listening(received.append, received.append))
@@ -748,17 +751,17 @@ def test_in_a_container_messages_pass_through_its_queue_and_are_sent_only_to_ext
 
 
 def test_in_a_container_in_real_time_a_native_thread_publishes_and_is_waited_for():
-    node, said, drained = Rcl(), [], []
+    node, set_from_outside, drained = Rcl(), [], []
     carrier = SimpleNamespace(
-        sender=lambda publisher: lambda data: said.append((publisher.topic_name, data)),
-        drain=lambda: drained.append(len(said)),
+        sender=lambda publisher: lambda data: set_from_outside.append((publisher.topic_name, data)),
+        drain=lambda: drained.append(len(set_from_outside)),
     )
     middleware = ContainedMiddleware(node, Exchange(), carrier)
     publish = middleware.publisher("t", "std_msgs/msg/Float64", lambda count: None)
     publish(b"nobody reads it")
     node.made[0].event_callbacks.matched(SimpleNamespace(current_count=1))
     publish(b"a")
-    assert said == [(node.made[0].topic_name, b"a")]
+    assert set_from_outside == [(node.made[0].topic_name, b"a")]
     assert node.said == []
     node.publishers = []
     middleware.drain()
@@ -860,7 +863,7 @@ def test_a_container_sends_pending_messages_and_waits_for_their_acknowledgement(
 
 def test_the_garbage_collector_runs_rarely_while_it_finds_nothing():
     class Collector:
-        found, log = 0, []
+        matched, log = 0, []
 
         def collect(self, of=2):
             self.log.append(f"collect {of}")
@@ -1113,15 +1116,15 @@ def test_the_type_of_frames_is_described_as_that_of_tf2_msgs():
     assert {text(one.name) for one in others} == {text(one.name) for one in referenced}
     reported = ctypes.cast(handle.hash(0), ctypes.POINTER(tf_message.Hash))[0]
     assert (reported.version, bytes(reported.value).hex()) == (1, tf_message.HASH)
-    theirs = tf_message.Handle.from_address(pointer_of(type(TransformStamped)._TYPE_SUPPORT))
-    assert handle.identifier == theirs.identifier
+    handle_read = tf_message.Handle.from_address(pointer_of(type(TransformStamped)._TYPE_SUPPORT))
+    assert handle.identifier == handle_read.identifier
 
-    def found(name):
+    def matched(name):
         where = handle.find(0, name)
         return None if not where else tf_message.Handle.from_address(where)
 
-    assert found(b"rosidl_typesupport_other") is None
-    fast, introspected = (found(f"rosidl_typesupport_{kind}".encode()) for kind in ("fastrtps_c", "introspection_c"))
+    assert matched(b"rosidl_typesupport_other") is None
+    fast, introspected = (matched(f"rosidl_typesupport_{kind}".encode()) for kind in ("fastrtps_c", "introspection_c"))
     names = tf_message.Callbacks.from_address(fast.data)
     assert (names.namespace, names.name) == (b"tf2_msgs::msg", b"TFMessage")
     members = tf_message.Members.from_address(introspected.data)

@@ -26,10 +26,10 @@ from softrig_core.scenario.scenario_file import inherit, list_scenarios, locate,
 from softrig_core.scenario.yaml_file import DEPTH, NODES, SIZE, read_mapping, read_yaml, write_yaml
 
 
-def said(function, *given, **words):
+def outcome(function, *arguments, **words):
     """The result of a function, or the line of its error."""
     try:
-        return repr(function(*given, **words))
+        return repr(function(*arguments, **words))
     except (ScenarioError, ParameterError, ValueError, KeyError) as error:
         return f"{type(error).__name__}: {error}"
 
@@ -45,7 +45,7 @@ yes no y null Null NULL ~ nUll word '1' "true" 2026-11-26 << = - -- 1-2 0x 0o8 e
 def test_words_and_numbers_are_those_of_yaml_1_2():
     lines = []
     for word in SCALARS.split():
-        lines.append(f"{word}: {said(read_yaml, f'- {word}', 'here')[1:-1]}")
+        lines.append(f"{word}: {outcome(read_yaml, f'- {word}', 'here')[1:-1]}")
     check_expected("yaml", lines)
 
 
@@ -86,13 +86,13 @@ def test_invalid_or_excessive_yaml_is_refused_as_expected():
     }
     lines = []
     for name, text in cases.items():
-        result = said(read_yaml, text, "here.yaml")
+        result = outcome(read_yaml, text, "here.yaml")
         if name in ("no end", "an odd character", "two documents", "a long line", "an alias of nothing"):
             result = result.partition("YAML: ")[0]  # the words of the library
         lines.append(f"{name}: {result if len(result) < 300 else 'much'}")
     more = cases["as many values as may be"][:-2] + ",1]\n"
-    lines.append(f"one more: {said(read_yaml, more, 'here.yaml')}")
-    lines += [f"{n} characters: {said(read_yaml, '#' * n, 'here.yaml')}" for n in (SIZE, SIZE + 1)]
+    lines.append(f"one more: {outcome(read_yaml, more, 'here.yaml')}")
+    lines += [f"{n} characters: {outcome(read_yaml, '#' * n, 'here.yaml')}" for n in (SIZE, SIZE + 1)]
     check_expected("yaml_errors", lines)
 
 
@@ -106,7 +106,7 @@ def test_a_mapping_is_read_from_a_file_in_utf_8(tmp_path):
         b"": "ScenarioError: a.yaml: expected a mapping of keys, got NoneType",
     }.items():
         file.write_bytes(content)
-        assert said(read_mapping, file) == reported
+        assert outcome(read_mapping, file) == reported
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -184,7 +184,7 @@ def test_inherited_and_not_inherited_keys_are_as_expected():
         "figures": {"f": {"function": "peak", "arguments": {"s": 1}, "unit": "m", "since": 2, "label": "l"}},
     }
     lines = [
-        f"{change}: {said(inherit, base, change)}"
+        f"{change}: {outcome(inherit, base, change)}"
         for change in (
             {},
             {"title": "U", "expect": {"b": 2}},
@@ -214,18 +214,18 @@ def test_inherited_and_not_inherited_keys_are_as_expected():
         "$a.b",
         "pre $own",
     ):
-        lines.append(f"{value}: {said(fill, value, shared)}")
-    lines.append(f"nothing is shared: {said(fill, '$x', {})}")
+        lines.append(f"{value}: {outcome(fill, value, shared)}")
+    lines.append(f"nothing is shared: {outcome(fill, '$x', {})}")
     over = merge(merge({"p": "$own"}, {"p": {"a": 2}}), {"p": {"b": {"d": 3}}})
-    lines.append(f"over a reference: {over} is {said(fill, over, shared)}")
+    lines.append(f"over a reference: {over} is {outcome(fill, over, shared)}")
     values = {"k": 1.5, "times": [1.0, 2.0], "motors.one": 3, "motors.two.x": 4}
     for name in ("k", "times", "times.1", "times.2", "times.x", "motors", "motors.two", "none", "k.0.0"):
-        lines.append(f"pick {name}: {said(pick, values, name)}")
+        lines.append(f"pick {name}: {outcome(pick, values, name)}")
     for value in ("$node.k", "$$x", "$x", "x", ["$n.a.b", {"k": "$n.b"}], ("$n.c",), 5):
-        lines.append(f"{value}: {said(fill_parameters, value, lambda *names: names)}")
+        lines.append(f"{value}: {outcome(fill_parameters, value, lambda *names: names)}")
     params = {"p": Some(), "q": Some(gain=3.0)}
     for node, name in (("q", "gain"), ("p", "gains"), ("r", "gain"), ("p", "row.1")):
-        lines.append(f"${node}.{name}: {said(parameter_of, 'here: ', params, params.__getitem__, node, name)}")
+        lines.append(f"${node}.{name}: {outcome(parameter_of, 'here: ', params, params.__getitem__, node, name)}")
     check_expected("inherited", lines)
 
 
@@ -273,7 +273,7 @@ def test_changes_are_passed_to_their_nodes_in_order_of_time():
             member("fault", package="softrig_control", executable="fault"),
             member("out", external=True),
         ]
-        reported = said(script, "here", [ChangeEntry(at=at, set=values) for at, values in entries], members)
+        reported = outcome(script, "here", [ChangeEntry(at=at, set=values) for at, values in entries], members)
         lines.append(f"{entries}: {reported if reported != 'None' else ''}")
         lines += [f"  {m.name}: {list(m.changes)}" for m in members if m.changes]
     check_expected("changes", lines)
@@ -326,7 +326,7 @@ def test_faults_are_inserted_between_a_publisher_and_its_subscribers():
             lines.append(f"  {name}: {entry if name not in nodes else entry['remap']}")
         assert nodes["law"]["remap"] == {"my/state": "motor/state"}
     lines += [
-        f"{link!r}: {said(FaultEntry, link=link)[:60]!r}".replace("\\n", " ")
+        f"{link!r}: {outcome(FaultEntry, link=link)[:60]!r}".replace("\\n", " ")
         for link in (" a/b -> c ", "a b", "a -> b -> c", "")
     ]
     check_expected("faults", lines)
@@ -434,13 +434,13 @@ def test_files_and_their_variants_are_found(folder):
     broken: list[ScenarioError] = []
     (folder / "one/broken.yaml").write_text("variants: {a b: {}}\n")
     assert "broken" not in {n for n in list_scenarios(broken) if n != "broken"}
-    lines = [str(e) for e in broken] + [said(list_scenarios)]
+    lines = [str(e) for e in broken] + [outcome(list_scenarios)]
     (folder / "one/broken.yaml").unlink()
     (folder / "one/loop.yaml").write_text("extends: pool\n")
     (folder / "one/pool.yaml").write_text("extends: loop\n")
     (folder / "one/list.yaml").write_text("extends: [base]\n")
     for name in ("bas", "child_lo", "none.yaml", "one/none", "loop", "list"):
-        reported = said(lambda name=name: resolve(*locate(name)))
+        reported = outcome(lambda name=name: resolve(*locate(name)))
         lines.append(f"{name}: {reported}")
     check_expected("scenario_files", [line.replace(str(folder), "HERE") for line in lines])
 
@@ -490,7 +490,7 @@ def test_a_file_that_has_changed_is_read_again(folder):
     (folder / "one/base.yaml").write_text(BASE.replace("title: T", "title: changed"))
     assert load_scenario("base").title == "changed"
     (folder / "one/base.yaml").write_text("#" * (SIZE + 1))
-    assert said(load_scenario, "base") == f"ScenarioError: base.yaml: {SIZE + 1} bytes, expected at most {SIZE}"
+    assert outcome(load_scenario, "base") == f"ScenarioError: base.yaml: {SIZE + 1} bytes, expected at most {SIZE}"
     assert list(itertools.islice(names(folder / "two/base.yaml"), 3)) == ["base"]
 
 
@@ -532,7 +532,7 @@ def test_forbidden_and_overriding_keys_of_a_scenario_are_as_expected():
         {"seed": 2**63},
         {"record": "some"},
     ):
-        reported = said(Scenario.model_validate, whole | keys)
+        reported = outcome(Scenario.model_validate, whole | keys)
         first = re.search(r"^  (.*?) \[type=", reported, re.MULTILINE)
         lines.append(f"{keys}: {first[1] if first else 'a scenario'}")
     scenario = Scenario.model_validate(more)
@@ -552,11 +552,11 @@ def test_forbidden_and_overriding_keys_of_a_scenario_are_as_expected():
         lines.append(f"{overrides}: {[n.parameters for n in new.nodes.values()]} {new.faults['noisy'].parameters}")
     assert scenario.changed() == scenario
     assert scenario.changed(duration=2.0).duration == 2.0
-    lines.append(said(scenario.changed, duration=-1.0))
-    lines.append(said(scenario.having, titel="x"))
+    lines.append(outcome(scenario.changed, duration=-1.0))
+    lines.append(outcome(scenario.having, titel="x"))
     for overrides in ({"gain": 2.0}, {"motor.R": 5.0}, {"motor": 5.0}, {"gains": 2.0}, {"c.k": 1}, {"a.k": 2}):
         draft = Draft("here", Path("here.yaml"), {k: v for k, v in more.items() if k != "name"})
-        result = said(lambda d=draft, o=overrides: d.filled(o).shared)
+        result = outcome(lambda d=draft, o=overrides: d.filled(o).shared)
         lines.append(f"{overrides} of a draft: {result}")
         assert draft.raw["shared"] == more["shared"]
     check_expected("scenarios", lines)

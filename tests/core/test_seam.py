@@ -296,15 +296,15 @@ def test_the_clock_waits_for_an_acknowledgement_of_a_follower_and_is_less_than_n
     owner = Schedule(clock, clock, 41 * float(eval(clock)), at_end=True)
     follower = Schedule(every * owner.period, clock, 41 * float(owner.period))
     ticks = [follower.time(k) for k in range(follower.count())]
-    said = [t for t in ticks if acknowledged(follower, t)]
+    acknowledged_ticks = [t for t in ticks if acknowledged(follower, t)]
     together = max(1, 4 // every)
-    assert said == [t for k, t in enumerate(ticks) if (k + 1) % together == 0 or t == ticks[-1]]
+    assert acknowledged_ticks == [t for k, t in enumerate(ticks) if (k + 1) % together == 0 or t == ticks[-1]]
     for k in range(owner.ticks + 1):
         want = needed(follower, owner, owner.time(k))
         if owner.next(owner.time(k)) >= owner.end:
             assert want == follower.awaited(owner.time(k))
             continue
-        ready = [t for t in said if t <= owner.time(k) and follower.tick(t) * every <= k - 4]
+        ready = [t for t in acknowledged_ticks if t <= owner.time(k) and follower.tick(t) * every <= k - 4]
         newest = max((t for j, t in enumerate(ticks) if (j + 1) % together == 0 and t in ready), default=-1)
         assert want == newest or (want < 0 and newest < 0)
         assert k - owner.tick(max(want, 0)) < 9 + every

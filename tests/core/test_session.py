@@ -130,11 +130,13 @@ def test_a_session_that_goes_back_and_branches_at_random_is_the_run_with_the_sam
         else:
             k = draw.choice([None, draw.randrange(min(model.at, LAST) + 1)])
             other = session.branch() if k is None else session.branch(0.01 * k)
-            mine = Model(model.at, model.turned) if k is None else Model(k, [t for t in model.turned if t[0] < k])
-            mine.agrees(other)
+            model_before = (
+                Model(model.at, model.turned) if k is None else Model(k, [t for t in model.turned if t[0] < k])
+            )
+            model_before.agrees(other)
             other.go()
-            mine.at = LAST + 1
-            mine.agrees(other)
+            model_before.at = LAST + 1
+            model_before.agrees(other)
         model.agrees(session)
         assert len(session._kept) <= max(kept, 2)
     session.go()
@@ -332,8 +334,8 @@ def test_arrays_continue_with_the_numbers_of_the_step():
 def test_the_garbage_collector_runs_rarely_during_a_run_and_as_before_after_it():
     before, seen = gc.get_threshold(), []
     try:
-        for given, during in ((700, YOUNG), (10**6, 10**6), (0, 0)):
-            gc.set_threshold(given, 10, 9)
+        for threshold, during in ((700, YOUNG), (10**6, 10**6), (0, 0)):
+            gc.set_threshold(threshold, 10, 9)
             usual = gc.get_threshold()  # not every Python keeps all three
             run_inprocess(wired(), 0, progress=lambda t: seen.append(gc.get_threshold()))
             assert set(seen) == {(during, *usual[1:])}
@@ -425,7 +427,7 @@ def test_what_is_no_seed_is_refused(seed):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"what": 3}, "expected a scenario's name or file, a draft, a scenario or a rig, got int"),
         ({"overrides": ["law.gain=1"]}, "overrides: expected a mapping of 'node.parameter' to value, got"),
@@ -433,9 +435,9 @@ def test_what_is_no_seed_is_refused(seed):
         ({"signals": ["lag/command/v"]}, r"no signal 'lag/command/v' \(did you mean 'lag/command/u/effort'\?\)"),
     ],
 )
-def test_a_wrong_argument_of_simulate_is_named(given, message):
+def test_a_wrong_argument_of_simulate_is_named(arguments, message):
     with pytest.raises(ScenarioError, match=message):
-        simulate(**{"what": wired(), **given})
+        simulate(**{"what": wired(), **arguments})
 
 
 def test_signals_cannot_be_changed_in_place():
@@ -460,14 +462,14 @@ def test_a_node_of_figures_knows_what_to_measure_and_how_often():
     own = {"ports": "[]", "figures": "[]"}
     nodes = {name: {"package": "faultrig", "executable": e} for name, e in BASIC.items()}
     scenario = make_scenario(BASIC, 0.1, figures={"mean_x": FIGURE}, expect={"mean_x": "at least 0"})
-    for given, asked, reported in (({}, True, True), ({}, False, False), (own, True, False)):
-        rig = rig_of(scenario.having(nodes=nodes | {"shown": live | {"parameters": given}}), live=asked)
+    for parameters, asked, reported in (({}, True, True), ({}, False, False), (own, True, False)):
+        rig = rig_of(scenario.having(nodes=nodes | {"shown": live | {"parameters": parameters}}), live=asked)
         member = next(m for m in rig.members if m.name == "shown")
         assert (member.params.figures != "[]") is reported
         assert [p.topic for p in member.inputs] == (["lag/state"] if reported else [])
         if reported:
             assert member.params.period == 0.01
-        assert rig.scenario.nodes["shown"].parameters == given
+        assert rig.scenario.nodes["shown"].parameters == parameters
 
 
 def test_a_run_comes_back_from_another_process_whole():
@@ -476,8 +478,8 @@ def test_a_run_comes_back_from_another_process_whole():
     back = pickle.loads(pickle.dumps(run))
     assert back.recording.topics == run.recording.topics
     assert (back.figures, back.results, back.seed, back.reached_s) == (run.figures, run.results, 3, run.reached_s)
-    there = pickle.loads(pickle.dumps(simulate(wired()))).branch(0.05, {"law.k": 1.0})
-    assert there.recording.topics == simulate(wired()).branch(0.05, {"law.k": 1.0}).recording.topics
+    restored = pickle.loads(pickle.dumps(simulate(wired()))).branch(0.05, {"law.k": 1.0})
+    assert restored.recording.topics == simulate(wired()).branch(0.05, {"law.k": 1.0}).recording.topics
     assert pickle.loads(pickle.dumps(back)).figures == run.figures
 
 

@@ -99,8 +99,10 @@ def test_a_rig_that_was_paused_stepped_and_resumed_has_the_bytes_of_an_undisturb
     assert call.late[-1][1].result.error_message == "it was resumed after 0 steps"
     assert set(call.run.run().values()) == {"done"}
     assert call.state() == QUITTING
-    ours = in_process(call.rig)
-    assert {n: t.data for n, t in call.run.recording.topics.items()} == {n: t.data for n, t in ours.topics.items()}
+    in_process_run = in_process(call.rig)
+    assert {n: t.data for n, t in call.run.recording.topics.items()} == {
+        n: t.data for n, t in in_process_run.topics.items()
+    }
 
 
 @pytest.mark.parametrize("fault", [ImportError("no library"), Exception("no 'rosidl_typesupport_c'")])

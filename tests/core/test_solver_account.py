@@ -127,78 +127,78 @@ def test_a_solver_ticks_as_its_independent_description_says(latency, cancels, mo
 
 
 def test_a_time_limit_uses_the_best_so_far(monkeypatch):
-    held = solver(monkeypatch, 0.0, limit=2.0)
-    work = held.block.worker
+    node = solver(monkeypatch, 0.0, limit=2.0)
+    work = node.block.worker
     for k, (seconds, best, reported) in enumerate(
         [(2.0, True, ""), (2.1, True, "best answer so far after 2 s"), (2.1, False, "no answer after 2 s")]
     ):
         work.seconds, work.best_there = seconds, best
-        stamp, answer, repeatable = held.update(k, ask="r")[0]
+        stamp, answer, repeatable = node.update(k, ask="r")[0]
         assert (stamp, repeatable) == (k, not reported)
         assert answer == ("answer to r" if not reported else "best" if best else None)
-        assert held.reports.get("limit", (0, ""))[1] == (f"{reported}: this result does not repeat" if reported else "")
-    assert held.reports["limit"][0] is Level.WARN
+        assert node.reports.get("limit", (0, ""))[1] == (f"{reported}: this result does not repeat" if reported else "")
+    assert node.reports["limit"][0] is Level.WARN
     assert [s for s in work.log if s != "r"] == [pytest.approx(0.001)]
 
 
 def test_work_that_fails_ends_a_run(monkeypatch):
-    held = solver(monkeypatch, 0.0)
-    monkeypatch.setattr(held.block.worker, "wait", lambda seconds: held.block.worker.finish(failed=True))
+    node = solver(monkeypatch, 0.0)
+    monkeypatch.setattr(node.block.worker, "wait", lambda seconds: node.block.worker.finish(failed=True))
     with pytest.raises(RunError, match=r"^work on the request of t = 0\.25 s failed: bad$"):
-        held.update(250_000_000, ask="r")
+        node.update(250_000_000, ask="r")
 
 
 def test_in_real_time_a_tick_uses_what_is_there(monkeypatch):
-    held = solver(monkeypatch, 0.2, realtime=True)
-    work, tenth = held.block.worker, 100_000_000
-    assert held.update(0, ask="a") == (None, False)
-    assert held.update(1 * tenth, ask=None) == (None, False)
-    assert held.reports == {}  # not yet due
-    assert held.update(2 * tenth, ask="b") == (None, False)
-    assert held.reports[UNFINISHED] == (
+    node = solver(monkeypatch, 0.2, realtime=True)
+    work, tenth = node.block.worker, 100_000_000
+    assert node.update(0, ask="a") == (None, False)
+    assert node.update(1 * tenth, ask=None) == (None, False)
+    assert node.reports == {}  # not yet due
+    assert node.update(2 * tenth, ask="b") == (None, False)
+    assert node.reports[UNFINISHED] == (
         Level.OK,
         "the work was not done when its result was due: answered without it",
         1,
     )
     work.finish()
-    assert held.update(3 * tenth, ask=None) == ((0, "answer to a", True), True)
+    assert node.update(3 * tenth, ask=None) == ((0, "answer to a", True), True)
     assert work.job.request == "b"
-    assert held.health() == {"work": "request of t = 0.2 s, 0.0 s"}
+    assert node.health() == {"work": "request of t = 0.2 s, 0.0 s"}
     work.status, work.seconds = {"gap": 0.1234567891, "node": 7}, 1.26
-    assert held.health() == {"work": "request of t = 0.2 s, 1.3 s", "gap": "0.123456789", "node": "7"}
+    assert node.health() == {"work": "request of t = 0.2 s, 1.3 s", "gap": "0.123456789", "node": "7"}
     work.finish(failed=True)
-    assert held.update(4 * tenth, ask=None) == ((0, "answer to a", True), False)  # before its latency
-    assert held.update(5 * tenth, ask=None) == ((0, "answer to a", True), False)
-    assert held.reports["work"] == (Level.ERROR, "work on the request of t = 0.2 s failed: bad", 1)
-    assert held.health() == {"work": "idle"}
-    held = solver(monkeypatch, 0.0, realtime=True)
-    held.update(0, ask="a")  # due immediately, so a missing result is not reported
-    assert held.reports == {}
-    held = solver(monkeypatch, 0.0, cancels=True, realtime=True)
-    held.update(0, ask="a")
-    held.update(tenth, ask="b")  # that is under way is killed, however late it is
-    assert (held.block.worker.cancelled, held.block.worker.job.request) == (1, "b")
-    held.block.worker.finish()
-    held.update(2 * tenth, ask="c")
-    assert held.block.worker.cancelled == 1
+    assert node.update(4 * tenth, ask=None) == ((0, "answer to a", True), False)  # before its latency
+    assert node.update(5 * tenth, ask=None) == ((0, "answer to a", True), False)
+    assert node.reports["work"] == (Level.ERROR, "work on the request of t = 0.2 s failed: bad", 1)
+    assert node.health() == {"work": "idle"}
+    node = solver(monkeypatch, 0.0, realtime=True)
+    node.update(0, ask="a")  # due immediately, so a missing result is not reported
+    assert node.reports == {}
+    node = solver(monkeypatch, 0.0, cancels=True, realtime=True)
+    node.update(0, ask="a")
+    node.update(tenth, ask="b")  # that is under way is killed, however late it is
+    assert (node.block.worker.cancelled, node.block.worker.job.request) == (1, "b")
+    node.block.worker.finish()
+    node.update(2 * tenth, ask="c")
+    assert node.block.worker.cancelled == 1
 
 
 def test_going_back_repeats_the_work_again(monkeypatch):
-    held = solver(monkeypatch, 0.2)
-    held.update(0, ask="a")
-    kept = held.save()
-    held.update(100_000_000, ask=None)
-    held.load(kept)
+    node = solver(monkeypatch, 0.2)
+    node.update(0, ask="a")
+    kept = node.save()
+    node.update(100_000_000, ask=None)
+    node.load(kept)
     # the same request is already being computed
-    assert (held.block.worker.log, held.block.worker.cancelled) == (["a"], 0)
-    held.update(200_000_000, ask="b")
-    held.load(kept)
-    held.refused(100_000_000)
-    assert [e for e in held.block.worker.log if isinstance(e, str)] == ["a", "b", "a"]
-    assert held.block.worker.cancelled == 1
-    held.load(kept._replace(x=Memory()))
-    held.refused(100_000_000)
-    assert (held.block.worker.cancelled, held.block.worker.state) == (2, "idle")
+    assert (node.block.worker.log, node.block.worker.cancelled) == (["a"], 0)
+    node.update(200_000_000, ask="b")
+    node.load(kept)
+    node.refused(100_000_000)
+    assert [e for e in node.block.worker.log if isinstance(e, str)] == ["a", "b", "a"]
+    assert node.block.worker.cancelled == 1
+    node.load(kept._replace(x=Memory()))
+    node.refused(100_000_000)
+    assert (node.block.worker.cancelled, node.block.worker.state) == (2, "idle")
 
 
 # a worker, with a process that is none --------------------------------------------------------------------------------

@@ -116,10 +116,10 @@ def test_a_node_begins_when_its_inputs_have_publishers_and_its_outputs_their_sub
     assert meeting.absent() == ["/y has 1 readers of 2"]
     meeting.y.matched(2)
     assert (meeting.absent(), meeting.shake.missing, meeting.shake.lacking) == ([], [], [])
-    gone = Meeting().whole()
-    gone.x.matched(0)
-    gone.x.received_any = True  # its publisher has sent everything and left
-    assert gone.absent() == []
+    departed = Meeting().whole()
+    departed.x.matched(0)
+    departed.x.received_any = True  # its publisher has sent everything and left
+    assert departed.absent() == []
     nobody = Meeting([])
     nobody.x.matched(1)
     nobody.hand.readers["/y"] = {"tool": JOINT}

@@ -192,12 +192,12 @@ def who_moves(A, received):
     """Remove one state after the other that no output reads, that forgets or adds up, and that moves no other."""
     n, left = len(A), set(range(len(A)))
     while True:
-        gone = [
+        removable = [
             j for j in left if not received[j] and A[j, j] in (0.0, 1.0) and not any(A[i, j] for i in left if i != j)
         ]
-        if not gone:
+        if not removable:
             return [j in left for j in range(n)]
-        left -= set(gone)
+        left -= set(removable)
 
 
 def test_states_that_only_observe_others_do_not_count():
@@ -239,7 +239,7 @@ class Fenced:
     def __init__(self, fence):
         self.fence, self.start, self.asked = fence, np.array([1.0, 7.0]), []
 
-    def __call__(self, x, given):
+    def __call__(self, x, inputs):
         self.asked.append(x[0])
         if x[0] > self.fence:
             raise RunError("beyond")

@@ -38,8 +38,8 @@ def lines(monkeypatch):
     """What is printed; the first line lets the block return."""
     results = []
 
-    def tell(who, text):
-        results.append(f"{who}: {text}")
+    def tell(tag, text):
+        results.append(f"{tag}: {text}")
         AT_LAST.set()
 
     monkeypatch.setattr(stuck, "print_for", tell)
@@ -71,7 +71,7 @@ def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypa
     ended = []
     monkeypatch.setattr(stuck, "LONG", PATIENCE)
     monkeypatch.setattr(stuck.os, "_exit", lambda status: (ended.append(status), AT_LAST.set()))
-    monkeypatch.setattr(stuck, "print_for", lambda who, text: lines.append(f"{who}: {text}"))
+    monkeypatch.setattr(stuck, "print_for", lambda title, text: lines.append(f"{title}: {text}"))
     before = signal.signal(signal.SIGTERM, lambda number, frame: None)  # the stuck code never handles this signal
     STARTED.clear()
     killer = threading.Thread(target=lambda: STARTED.wait(PATIENCE) and os.kill(os.getpid(), signal.SIGTERM))
@@ -193,9 +193,9 @@ LOOPS = {
 
 def written(code, folder):
     """Write a package whose law loops from 0.1 s on; return the arguments that run it."""
-    here = [sys.executable, "-m", "softrig_bringup"]
+    command = [sys.executable, "-m", "softrig_bringup"]
     options = ["--only", "law", "--for", "dc_motor_smc_b2"] if code == "python" else ["--language", "c"]
-    subprocess.run([*here, "new", "law", *options], cwd=folder, check=True, capture_output=True)
+    subprocess.run([*command, "new", "law", *options], cwd=folder, check=True, capture_output=True)
     file, before = (
         (folder / "law/law/controller.py", "        x, outputs = super")
         if code == "python"
@@ -206,7 +206,7 @@ def written(code, folder):
     file.write_text(text.replace(before, LOOPS[code] + before))
     if code == "python":
         return [str(Path(__file__).parents[2] / "scripts/softrig"), "--workspace", "law"], "law"
-    return here, "law/law.yaml"
+    return command, "law/law.yaml"
 
 
 @pytest.mark.long
@@ -216,10 +216,10 @@ def written(code, folder):
     + [(code, verb, "inprocess") for code in LOOPS for verb in ("check", "study")],
 )
 def test_a_law_that_loops_is_named_and_ctrl_c_ends_it(code, verb, mode, tmp_path):
-    here, what = written(code, tmp_path)
+    command, what = written(code, tmp_path)
     options = {"run": ["--mode", mode], "check": [], "study": ["--seeds", "4"]}[verb]
     message = (tmp_path / "said").open("w+")
-    process = subprocess.Popen([*here, verb, what, *options], cwd=tmp_path, stdout=message, stderr=message)
+    process = subprocess.Popen([*command, verb, what, *options], cwd=tmp_path, stdout=message, stderr=message)
     try:
         deadline = time.monotonic() + PATIENCE
         while "has not returned for 5 s" not in (text := (tmp_path / "said").read_text()):

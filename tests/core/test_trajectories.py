@@ -77,9 +77,9 @@ def test_velocities_and_accelerations_are_derivatives_of_the_positions():
     goal = Goal(times=(0.0, 2.0), **{n: tuple(x for row in rows[:2] for x in row) for n, rows in POINTS.items()})
     path, h = Path(goal, 2), to_ns(1e-4)
     for t in range(to_ns(0.1), to_ns(1.9), to_ns(0.3)):
-        before, here, after = path.at(t - h), path.at(t), path.at(t + h)
+        before, at_t, after = path.at(t - h), path.at(t), path.at(t + h)
         for k in range(4):
-            assert here[k + 2] == pytest.approx((after[k] - before[k]) / 2e-4, abs=1e-6)
+            assert at_t[k + 2] == pytest.approx((after[k] - before[k]) / 2e-4, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -346,11 +346,11 @@ def test_a_goal_is_canceled_and_the_reference_stays_where_it_is(monkeypatch):
     rig.until(10 * MS)
     flight = rig.send(goal(trajectory(point(90 * MS, (1, 1, 1), (0, 0, 0)))))
     rig.until(30 * MS)
-    here = rig.reference()
+    at_t = rig.reference()
     assert rig.served["cancel_callback"](flight.handle).name == "ACCEPT"
     rig.until(50 * MS)
     assert flight.code == (0, "canceled")
-    assert rig.reference() == (*here[:3], *[0.0] * 6)
+    assert rig.reference() == (*at_t[:3], *[0.0] * 6)
 
 
 def test_a_new_trajectory_replaces_the_goal_from_where_the_reference_is(monkeypatch):

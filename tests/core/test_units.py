@@ -81,7 +81,7 @@ def test_a_link_passes_on_the_units_of_its_messages():
 
 
 @pytest.mark.parametrize(
-    ("given", "wanted", "number"),
+    ("unit", "wanted", "number"),
     [
         ("s", "ms", 1e3),
         ("rad", "deg", math.degrees(1.0)),
@@ -95,10 +95,10 @@ def test_a_link_passes_on_the_units_of_its_messages():
         ("1", "%", 1e2),
     ],
 )
-def test_units_of_the_same_quantity_are_converted(given, wanted, number):
-    result = factor(given, wanted)
+def test_units_of_the_same_quantity_are_converted(unit, wanted, number):
+    result = factor(unit, wanted)
     assert result == (None if number is None else pytest.approx(number))
-    assert bool(misfit(given, wanted)) == (number != 1.0)
+    assert bool(misfit(unit, wanted)) == (number != 1.0)
 
 
 # by hand from the SI brochure: number of kg, m, s, A, K and rad in each, and how many of those one is

@@ -104,16 +104,16 @@ def test_random_numbers_by_index_are_those_of_the_stream():
 
 
 def test_a_discarded_tick_has_reported_nothing_and_draws_again():
-    held = ByHand(Noise(name="n"))
-    held.update(0)
-    saved = held.save()
-    after = held.update(1)
-    held.block.update(held.x, 2)  # tried, not kept
-    held.drop()
-    assert held.reports["drawn"][2] == 2
-    held.load(saved)
-    assert held.reports["drawn"][2] == 1
-    assert held.update(1) == after
+    node = ByHand(Noise(name="n"))
+    node.update(0)
+    saved = node.save()
+    after = node.update(1)
+    node.block.update(node.x, 2)  # tried, not kept
+    node.drop()
+    assert node.reports["drawn"][2] == 2
+    node.load(saved)
+    assert node.reports["drawn"][2] == 1
+    assert node.update(1) == after
 
 
 @pytest.mark.parametrize(

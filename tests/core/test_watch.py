@@ -51,7 +51,7 @@ def test_running_figures_are_published_while_there_is_a_subscriber(mode):
     from softrig_nodes.face.faces import Faces
 
     rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye()}, 1.0)
-    eye, messages, readers, held = run_inprocess(rig, 3)["eye"], [], [0], Event()
+    eye, messages, readers, pause = run_inprocess(rig, 3)["eye"], [], [0], Event()
     expected = {name: f"{value:.9g} {unit}" for name, (value, unit) in eye.status().items()}
 
     class Publisher:
@@ -74,14 +74,14 @@ def test_running_figures_are_published_while_there_is_a_subscriber(mode):
     assert faces._measured is None
     readers[0] = 1
     if faces._executor:
-        faces._executor.submit(held.wait)
+        faces._executor.submit(pause.wait)
     faces._publish_diagnostics()
     if faces._executor:
         eye.x = eye.block.first()  # the block continues in the meantime
         faces._publish_diagnostics()  # only one computation at a time
         faces._check()
         assert not messages
-        held.set()
+        pause.set()
         faces._measured.result()
         faces._check()
         assert faces._measured is None

@@ -62,12 +62,12 @@ def test_a_window_has_the_newest_messages_of_a_list(monkeypatch, seed):
             messages = [(s, tuple(rng.uniform(-1.0, 1.0) for _ in range(size))) for s in stamps]
             t += 60
             begun = kept.stamp != EVER
-            given = (
+            pieces = (
                 ReceivedMessages(np.array(stamps), np.array([v for _, v in messages]))
                 if rng.random() < 0.5 and stamps
                 else messages
             )
-            kept = kept.with_messages(given, t, reach)
+            kept = kept.with_messages(pieces, t, reach)
             for stamp, values in messages:
                 listed.take(stamp, values, t, reach)
             if begun:

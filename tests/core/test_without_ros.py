@@ -36,8 +36,8 @@ def alone(tmp_path_factory):
     """Run Python with only four packages installed and without ROS."""
     prefix = tmp_path_factory.mktemp("alone") / "prefix"
     layout.lay_out(prefix, places=[f"ros_pkgs/{name}/setup.cfg" for name in ALONE])
-    ours = ("AMENT_", "PYTHON", "SOFTRIG_", "COLCON_", "ROS_", "RMW_")
-    variables = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+    prefixes = ("AMENT_", "PYTHON", "SOFTRIG_", "COLCON_", "ROS_", "RMW_")
+    variables = {k: v for k, v in os.environ.items() if not k.startswith(prefixes)}
     variables["PYTHONPATH"] = str(prefix / layout.library())
     variables["SOFTRIG_JIT"] = "0"
 

@@ -109,20 +109,20 @@ def _put_default(file, mutant, source, functions):
                 continue
             first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
             value = ast.literal_eval(mutant.text)
-            found = [
+            result = [
                 f
                 for (p, line, name), fs in functions.items()
                 if (p, line) == (file, first) and name.rpartition(".")[2] == node.name
                 for f in fs
             ]
-            for function in found:
+            for function in result:
                 if isinstance(place, int):
-                    given = list(function.__defaults__)
-                    given[place] = value
-                    function.__defaults__ = tuple(given)
+                    defaults = list(function.__defaults__)
+                    defaults[place] = value
+                    function.__defaults__ = tuple(defaults)
                 else:
                     function.__kwdefaults__ = function.__kwdefaults__ | {place: value}
-            return bool(found)
+            return bool(result)
     return False
 
 
@@ -140,8 +140,8 @@ def in_fork(work, limit):
             os._exit(BROKE)
     end = time.monotonic() + limit
     while time.monotonic() < end:
-        there, status = os.waitpid(child, os.WNOHANG)
-        if there:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
             with suppress(OSError):
                 os.killpg(child, signal.SIGKILL)
             return os.waitstatus_to_exitcode(status)

@@ -106,12 +106,12 @@ def _age(table: Table) -> str:
 
 def _choice(table: Table, files: list[str]) -> tuple[set[str], list[str]]:
     """Return the tests that execute the files, and the test files that are to run whole."""
-    there = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py"))
-    stale = [file for file in there if table.digests.get(file) != _digest(file)]
-    asked = [file for file in files if file in there]
+    test_files = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py"))
+    stale = [file for file in test_files if table.digests.get(file) != _digest(file)]
+    asked = [file for file in files if file in test_files]
     whole = sorted({*stale, *asked})
     tests = {t for file in files if file not in asked for t in table.of(file)}
-    tests = {t for t in tests if _file_of(t) in there and _file_of(t) not in whole}
+    tests = {t for t in tests if _file_of(t) in test_files and _file_of(t) not in whole}
     seconds = sum(table.tests[test][0] for test in tests)
     print(_age(table))
     print(f"{len(tests)} tests in {len({*map(_file_of, tests)})} files execute {', '.join(files)} ({seconds:.0f} s)")
@@ -126,8 +126,8 @@ def _traced(tests: set[str], whole: list[str], workers: int, more: list[str]) ->
         folder = Path(name)
         rows, processes, chosen = folder / "rows", folder / "processes", folder / "chosen"
         processes.mkdir()
-        here = Path(__file__).parent
-        path = os.pathsep.join([str(here), str(here / "traced"), os.environ.get("PYTHONPATH", "")])
+        own_folder = Path(__file__).parent
+        path = os.pathsep.join([str(own_folder), str(own_folder / "traced"), os.environ.get("PYTHONPATH", "")])
         variables = {"PYTHONPATH": path, "SOFTRIG_TRACED": str(processes), "SOFTRIG_TRACED_TESTS": str(rows)}
         if tests or whole:
             chosen.write_text("\n".join([*tests, *whole]))

@@ -17,8 +17,8 @@ def ended(child: int, limit: float) -> int | None:
     """Wait for a child; return its exit status, None if it was killed after `limit` s."""
     end = time.monotonic() + limit
     while time.monotonic() < end:
-        there, status = os.waitpid(child, os.WNOHANG)
-        if there:
+        ended_pid, status = os.waitpid(child, os.WNOHANG)
+        if ended_pid:
             return os.waitstatus_to_exitcode(status)
         time.sleep(0.02)
     os.killpg(child, signal.SIGKILL)

@@ -245,10 +245,10 @@ def test_differential_evolution_against_scipy(variant):
         def spread(self):
             return np.random.default_rng([7, seed]).uniform((-2.0, -3.0), (4.0, 2.0), (n_pop, 2))
 
-    ours, theirs = [], []
+    own, scipy_result = [], []
     for seed in range(100):
         search = Started(*box, seed, n_pop=n_pop, n_iter=n_iter, variant=variant, cr=0.7)
-        ours.append(run(search, rastrigin).value)
+        own.append(run(search, rastrigin).value)
         result = differential_evolution(
             rastrigin,
             list(zip(*box, strict=True)),
@@ -263,9 +263,9 @@ def test_differential_evolution_against_scipy(variant):
             rng=seed,
             updating="immediate",
         )
-        theirs.append(result.fun)
+        scipy_result.append(result.fun)
         assert result.nfev == search.evaluations
-    assert stats.ks_2samp(ours, theirs).pvalue > 0.1
+    assert stats.ks_2samp(own, scipy_result).pvalue > 0.1
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 3.0), (0.3, 1.7)])
@@ -280,9 +280,9 @@ def test_a_scan_refines_as_scipy_does(low, high):
     grid = np.linspace(low, high, 20)
     k = int(np.argmin([f(x) for x in grid]))
     cells = (grid[max(k - 1, 0)], grid[min(k + 1, 19)])
-    theirs = minimize_scalar(f, bounds=cells, method="bounded", options={"xatol": 1e-4})
-    assert best.x[0] == pytest.approx(theirs.x, abs=1e-14)
-    assert search.evaluations == 20 + theirs.nfev
+    scipy_result = minimize_scalar(f, bounds=cells, method="bounded", options={"xatol": 1e-4})
+    assert best.x[0] == pytest.approx(scipy_result.x, abs=1e-14)
+    assert search.evaluations == 20 + scipy_result.nfev
     assert run(Scan([low], [high], n_grid=3, tolerance=0.0), lambda x: f(x[0])).x[0] in (low, 0.5 * (low + high), high)
 
 
@@ -678,11 +678,11 @@ def fail(x):
 
 def test_a_sweep_keeps_the_order_with_any_number_of_workers():
     cases = [f"(2 * {k}, __import__('os').getpid())" for k in range(7)]
-    here = sweep(eval, cases, workers=1)
-    there = sweep(eval, cases, workers=2)
-    assert [value for value, _ in here] == [value for value, _ in there] == list(range(0, 14, 2))
-    assert {pid for _, pid in here} == {os.getpid()}
-    assert os.getpid() not in {pid for _, pid in there}
+    by_one = sweep(eval, cases, workers=1)
+    by_two = sweep(eval, cases, workers=2)
+    assert [value for value, _ in by_one] == [value for value, _ in by_two] == list(range(0, 14, 2))
+    assert {pid for _, pid in by_one} == {os.getpid()}
+    assert os.getpid() not in {pid for _, pid in by_two}
 
 
 @pytest.mark.long

@@ -89,10 +89,12 @@ def fireflies(rule, all_pairs=False, beta0=2.0, alpha=0.6, gamma=1.0):
         for i, j in itertools.permutations(range(rule.n), 2):
             brighter = costs[j] < costs[i]
             if brighter:
-                here, there = rule.x[i], rule.x[j]
-                pull = beta0 * math.exp(-gamma * math.dist(here, there) ** 2)
+                moved, partner = rule.x[i], rule.x[j]
+                pull = beta0 * math.exp(-gamma * math.dist(moved, partner) ** 2)
                 noise = rule.rng.random(3).tolist()
-                rule.x[i] = rule.inside([h + pull * (t - h) + alpha * (e - 0.5) for h, t, e in zip(here, there, noise)])
+                rule.x[i] = rule.inside(
+                    [h + pull * (t - h) + alpha * (e - 0.5) for h, t, e in zip(moved, partner, noise)]
+                )
             if brighter or all_pairs:
                 costs[i] = rule.cost(rule.x[i])
 

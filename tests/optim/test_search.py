@@ -108,20 +108,20 @@ def test_progress_is_reported_by_tenths_or_after_ten_seconds(monkeypatch, capsys
     monkeypatch.setattr("softrig_optim.sweep.time", SimpleNamespace(monotonic=lambda: clock[0]))
     monkeypatch.setattr("sys.stderr.isatty", lambda: False)
 
-    def told(total, seconds=0.0):
+    def progress_lines(total, seconds=0.0):
         with progress("cases", total) as advance:
             for _ in range(total):
                 clock[0] += seconds
                 advance()
         return [int(line.split()[2]) for line in capsys.readouterr().err.splitlines()]
 
-    assert told(20) == [*range(2, 21, 2)]
-    assert told(19) == []
-    assert told(30) == [*range(3, 31, 3)]
-    assert told(5, 6.0) == [2, 4]
-    assert told(3, 10.0) == [2]
+    assert progress_lines(20) == [*range(2, 21, 2)]
+    assert progress_lines(19) == []
+    assert progress_lines(30) == [*range(3, 31, 3)]
+    assert progress_lines(5, 6.0) == [2, 4]
+    assert progress_lines(3, 10.0) == [2]
     monkeypatch.setattr("softrig_optim.sweep.is_quiet", lambda: True)
-    assert told(20) == []
+    assert progress_lines(20) == []
 
 
 @pytest.mark.parametrize(

@@ -96,13 +96,13 @@ class Contained:
         node = SimpleNamespace(get_name=lambda: member.name, get_fully_qualified_name=lambda: f"/{member.name}",
                                resolve_topic_name=resolve, monitor=Monitor(lambda: None), _parameter_overrides={},
                                serve_by=lambda timer: None)  # fmt: skip
-        given = {
+        parameters = {
             k.removeprefix("run."): v
             for k, v in node_parameters(rig, member, seed, "realtime").items()
             if k.startswith("run.")
         } | {"epoch": self.epoch}
         sink = _Sink.__new__(_Sink)
-        adapter = Adapter(ContainedMiddleware(node, self.exchange), member.block(seed), RunOptions(**given), sink)
+        adapter = Adapter(ContainedMiddleware(node, self.exchange), member.block(seed), RunOptions(**parameters), sink)
         sink.__init__(self.recording, adapter.record.topics)
         return adapter
 

@@ -267,8 +267,8 @@ def with_outside_controller(extra, directory):
 def test_an_outside_controller_closes_the_loop_around_a_container(tmp_path):
     outcome = with_outside_controller("", tmp_path)
     assert outcome.error == ""
-    ours = in_process(rig(BASIC))
-    assert outcome.recording.topics["lag/state"].data == ours.topics["lag/state"].data
+    reference = in_process(rig(BASIC))
+    assert outcome.recording.topics["lag/state"].data == reference.topics["lag/state"].data
     assert len(outcome.recording.topics["lag/command"].data) == 100
 
 
@@ -453,13 +453,13 @@ def test_a_timer_can_move_or_end_itself():
 
 
 def test_a_profile_keeps_its_settings_and_gets_ports_and_the_property(tmp_path, monkeypatch):
-    mine = tmp_path / "mine.xml"
-    mine.write_text(
+    profile_file = tmp_path / "mine.xml"
+    profile_file.write_text(
         '<?xml version="1.0"?><profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">'
         '<participant profile_name="a" is_default_profile="true"><rtps><name>mine</name></rtps>'
         "</participant></profiles>"
     )
-    monkeypatch.setenv(VARIABLE, str(mine))
+    monkeypatch.setenv(VARIABLE, str(profile_file))
     for exclusive in (True, False):
         with joining(exclusive=exclusive):
             text = Path(os.environ[VARIABLE]).read_text()
@@ -467,9 +467,9 @@ def test_a_profile_keeps_its_settings_and_gets_ports_and_the_property(tmp_path, 
             assert (f"<name>{PROPERTY}</name><value>true</value>" in text) == exclusive
             assert "ns0:" not in text
             assert text.count("<port><portBase>") == 1
-        assert os.environ[VARIABLE] == str(mine)
-    given = mine.read_bytes().replace(b"<rtps>", b"<rtps><port><portBase>7000</portBase></port>")
-    assert own(given).count(b"<portBase>") == 1
+        assert os.environ[VARIABLE] == str(profile_file)
+    content = profile_file.read_bytes().replace(b"<rtps>", b"<rtps><port><portBase>7000</portBase></port>")
+    assert own(content).count(b"<portBase>") == 1
 
 
 def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):

@@ -143,18 +143,18 @@ def test_an_answer_truncated_by_a_signal_is_not_taken_for_the_next(package, monk
 
 def test_a_node_has_its_own_status_although_another_had_its_process_id_before(monkeypatch):
     """Linux counts to 32,768 and begins again: a long set does so every quarter of an hour."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    near_end, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ends = iter((signal.SIGKILL, 0))
     monkeypatch.setattr(fork_server, "_fork", lambda request, asleep: 7)
     monkeypatch.setattr(os, "waitpid", lambda pid, options: (pid, next(ends)))
     monkeypatch.setattr(os, "_exit", sys.exit)  # of this thread alone
 
     def ask(**request):
-        ours.send(json.dumps(request | {"number": 0}).encode())
-        return json.loads(ours.recv(1000))
+        near_end.send(json.dumps(request | {"number": 0}).encode())
+        return json.loads(near_end.recv(1000))
 
-    with theirs, ThreadPoolExecutor(1) as pool, ours:
-        pool.submit(fork_server.serve, theirs)
+    with far_end, ThreadPoolExecutor(1) as pool, near_end:
+        pool.submit(fork_server.serve, far_end)
         for status in (-signal.SIGKILL, 0):
             assert ask(package="tools")["pid"] == 7
             assert [ask(status=7)["status"] for _ in range(2)] == [status] * 2
@@ -201,10 +201,10 @@ def test_many_runs_through_one_server_leave_no_file_open(tmp_path, monkeypatch):
         shutil.rmtree(folder)
         seen.append([of(pid) for of in (opened, threads, memory) for pid in (os.getpid(), server())])
         print(k, *seen[-1], flush=True)
-    (descriptors, its_descriptors, *their_threads, ours, its) = zip(*seen[5:], strict=True)
+    (descriptors, its_descriptors, *their_threads, near_end, its) = zip(*seen[5:], strict=True)
     for counted in (descriptors, its_descriptors, *their_threads):
         assert max(counted) == counted[0]
-    assert ours[-1] - ours[0] < 15 + 0.03 * runs  # MB
+    assert near_end[-1] - near_end[0] < 15 + 0.03 * runs  # MB
     assert its[-1] - its[0] < 2
 
 

@@ -75,10 +75,10 @@ def test_nodes_and_parameters_are_those_of_the_scenario(lag):
 def test_the_lease_of_launched_nodes_follows_the_timeout(place, lag, monkeypatch):
     """With the lease of the default profile a node stopped for 3 s ended the rig, because others took it for dead."""
     values = {"scenario": "lag", "mode": "lockstep", "place": place}
-    for given in ("", "/their/own.xml"):
-        monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", given)
+    for profile_path in ("", "/their/own.xml"):
+        monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", profile_path)
         for node in nodes_of(values):
-            if given:  # arguments that launch passes on
+            if profile_path:  # arguments that launch passes on
                 assert node.variables == {}
             else:
                 (profile,) = node.variables.values()
@@ -164,9 +164,7 @@ def test_launches_in_one_domain_accept_the_options_of_runs_and_leave_the_same_fi
     with free_domain() as domain:
         variables = environment(domain, tmp_path, silence=PATIENCE)
         with recording(tmp_path / "of_a", variables, "--namespace", "a") as recorder:
-            each = [
-                common | {"namespace": name, "out": str(tmp_path / name)} | given for name, given in options.items()
-            ]
+            each = [common | {"namespace": name, "out": str(tmp_path / name)} | own for name, own in options.items()]
             status, printed = launch(each, variables)
             recorder.send_signal(signal.SIGINT)
             assert "none lost" in recorder.communicate()[0]

@@ -41,8 +41,8 @@ class Container:
         self.rig, self.world, self.folder, process = rig, World(), folder, object()
         self.adapters, self.nodes = {}, {}
         for m in rig.members:
-            given = node_parameters(rig, m, 1, "lockstep")
-            options = {k.removeprefix("run."): v for k, v in given.items() if k.startswith("run.")}
+            parameters = node_parameters(rig, m, 1, "lockstep")
+            options = {k.removeprefix("run."): v for k, v in parameters.items() if k.startswith("run.")}
             self.nodes[m.name] = SimulatedNode(self.world, m.name, m.remap, process)
             shard = RunOptions(**{**options, "shard": str(folder / f"{m.name}.shard")})
             self.adapters[m.name] = Adapter(self.nodes[m.name], m.block(1), shard)

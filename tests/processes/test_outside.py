@@ -82,7 +82,9 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
         commands.append([sys.executable, str(Path(__file__).parents[1] / "relay.py"), str(about)])
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
     patience = 60.0 * busy()
-    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": patience, "start_timeout": 2 * patience}))
+    own_rig = rig_of(
+        rig.scenario.model_copy(update={"nodes": nodes, "timeout": patience, "start_timeout": 2 * patience})
+    )
     outside, home = [], directory / "outside"
     home.mkdir()
     with free_domain() as domain:
@@ -94,12 +96,12 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
 
         try:
             placement = Placement(domain=domain, wait=patience, clock="realtime" if realtime else "lockstep")
-            outcome = run_processes(ours, rig.scenario.seed, directory, placement, Listener(announce=announce))
+            outcome = run_processes(own_rig, rig.scenario.seed, directory, placement, Listener(announce=announce))
         finally:
             for process in outside:
                 process.kill()
                 process.wait()
-    return ours, expected, outcome
+    return own_rig, expected, outcome
 
 
 def by_chance(rig):
@@ -121,10 +123,10 @@ def by_chance(rig):
 
 def replaced(rig, name, directory, seed=0):
     """Run a rig in lockstep with a relay in place of one node or several; return what is wrong."""
-    ours, expected, outcome = with_outside(rig, (name,) if isinstance(name, str) else name, directory, seed)
-    chance = by_chance(ours)
+    own_rig, expected, outcome = with_outside(rig, (name,) if isinstance(name, str) else name, directory, seed)
+    chance = by_chance(own_rig)
     wrong = [outcome.error] if outcome.error else []
-    for member in ours.members:
+    for member in own_rig.members:
         for port in member.outputs:
             result, wanted = outcome.recording.topics[port.topic], expected.topics[port.topic]
             if member.external and port.sporadic:  # the run does not wait for its last messages

@@ -370,8 +370,8 @@ def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
     """It joins late by construction: it is started only when the rig already waits for it."""
     _, outcome = with_outside_controller("", tmp_path)
     assert outcome.error == ""
-    ours = in_process(rig(BASIC))
-    assert outcome.recording.topics["lag/state"].data == ours.topics["lag/state"].data
+    reference = in_process(rig(BASIC))
+    assert outcome.recording.topics["lag/state"].data == reference.topics["lag/state"].data
     assert len(outcome.recording.topics["lag/command"].data) == 100
 
 

@@ -353,8 +353,8 @@ sys.exit(0 if kept and told["/lag/state"] == ("TRANSIENT_LOCAL", "BEST_EFFORT", 
 @pytest.mark.long
 def test_the_qos_of_a_topic_can_be_set_as_for_any_ros_node(bench):
     """By the parameters that rclpy has for it; a topic that is not named keeps its own."""
-    given = {"durability": "transient_local", "reliability": "best_effort", "deadline": "20000000"}
-    words = [w for k, v in given.items() for w in ("-p", f"qos_overrides./lag/state.publisher.{k}:={v}")]
+    policies = {"durability": "transient_local", "reliability": "best_effort", "deadline": "20000000"}
+    words = [w for k, v in policies.items() for w in ("-p", f"qos_overrides./lag/state.publisher.{k}:={v}")]
     bench.start("plant", "plant", *words)
     outside(bench, "asking", ASK_PROFILES)
     assert bench.ends("asking") == 0

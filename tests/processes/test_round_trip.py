@@ -125,8 +125,8 @@ def test_an_unknown_parameter_is_named_and_the_others_are_set(domain):
 
 def hostile():
     """Values of wrong types, beyond all ranges, and none."""
-    for given in ("x", "", True, math.inf, -math.inf, math.nan, 5e-324, 1e308, 2**63 - 1, -(2**63), [math.nan], ["x"]):
-        yield lambda name, given=given: Parameter(name, value=given)
+    for value in ("x", "", True, math.inf, -math.inf, math.nan, 5e-324, 1e308, 2**63 - 1, -(2**63), [math.nan], ["x"]):
+        yield lambda name, value=value: Parameter(name, value=value)
     yield lambda name: Parameter(name, Parameter.Type.NOT_SET)
 
 

@@ -137,9 +137,9 @@ def test_the_profile_of_this_host_differs_only_in_its_sockets(tmp_path, monkeypa
     own, other = (re.sub(transports, "", file.read_text(), flags=re.S) for file in (LOOPBACK, PROFILE))
     assert own == other
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
-    for discovery, here in (("LOCALHOST", True), ("SUBNET", False)):  # as `run` writes it
+    for discovery, local in (("LOCALHOST", True), ("SUBNET", False)):  # as `run` writes it
         result = environment(1, tmp_path, discovery=discovery, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"]
-        assert ("<address>127.0.0.1</address>" in Path(result).read_text()) == here
+        assert ("<address>127.0.0.1</address>" in Path(result).read_text()) == local
 
 
 INTRUDER = """
@@ -189,12 +189,12 @@ def test_a_node_on_another_host_finds_no_node_here(how, tmp_path):
     one.
     """
     with free_domain() as domain, two_hosts() as (a, b):
-        here = environment(domain, tmp_path)
-        assert here["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOOPBACK)
-        here["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(how)
+        local = environment(domain, tmp_path)
+        assert local["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOOPBACK)
+        local["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(how)
         if how == "by hand":
-            del here["FASTRTPS_DEFAULT_PROFILES_FILE"], here["ROS_AUTOMATIC_DISCOVERY_RANGE"]
-        there = here | {
+            del local["FASTRTPS_DEFAULT_PROFILES_FILE"], local["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+        second_host = local | {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "ROS_STATIC_PEERS": "10.213.7.1",
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
@@ -202,14 +202,18 @@ def test_a_node_on_another_host_finds_no_node_here(how, tmp_path):
         }
         enter = ["ip", "netns", "exec"]
         plant = subprocess.Popen(
-            [*enter, a, find_executable("faultrig", "plant"), "--ros-args", "-r", "__node:=plant"], env=here
+            [*enter, a, find_executable("faultrig", "plant"), "--ros-args", "-r", "__node:=plant"], env=local
         )
         try:
             code = INTRUDER.replace("PATIENCE", str(PATIENCE) if how == PROFILE else "8")
             seen = subprocess.run(
-                [*enter, b, sys.executable, "-c", code], env=there, capture_output=True, text=True, timeout=PATIENCE
+                [*enter, b, sys.executable, "-c", code],
+                env=second_host,
+                capture_output=True,
+                text=True,
+                timeout=PATIENCE,
             )
-            neighbour = here | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
+            neighbour = local | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
             near = subprocess.run([*enter, a, sys.executable, "-c", INTRUDER.replace("PATIENCE", "60")], env=neighbour,
                                   capture_output=True, text=True, timeout=PATIENCE)  # fmt: skip
         finally:

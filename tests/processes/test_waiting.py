@@ -85,9 +85,9 @@ def test_a_rejected_message_of_an_outside_node_is_reported_once():
 
 def test_in_lockstep_a_controller_may_join_after_minutes_and_nothing_is_lost():
     run = waiting("lockstep", 120.0)
-    ours, expected = rig_and_record("basic")
-    gain = next(m for m in ours.members if m.name == "gain")
-    SimulatedOutside(ours, gain, expected, run.world, list(gain.inputs))
+    rig, expected = rig_and_record("basic")
+    gain = next(m for m in rig.members if m.name == "gain")
+    SimulatedOutside(rig, gain, expected, run.world, list(gain.inputs))
     assert set(run.run(100.0).values()) == {"done"}
     assert lacking(run) == []
     assert [t for t in differences(expected, run.recording) if t != "lag/command"] == []
@@ -110,8 +110,8 @@ def test_no_node_waits_for_an_observer_that_can_never_be_matched(seed):
 def test_a_node_of_the_rig_that_can_never_be_matched_is_named_with_the_reason(monkeypatch):
     subscribe = SimulatedNode.subscribe
 
-    def strange(node, topic, *given):
-        subscribe(node, topic, *given, fits=(node.name, topic) != ("plant", COMMAND.topic))
+    def strange(node, topic, *arguments):
+        subscribe(node, topic, *arguments, fits=(node.name, topic) != ("plant", COMMAND.topic))
 
     monkeypatch.setattr(SimulatedNode, "subscribe", strange)
     world = World()
@@ -130,10 +130,10 @@ def test_the_graph_shows_which_subscribers_request_more_than_a_writer_offers():
         try:
             for profile in (1, best_effort, latched):
                 node.create_subscription(JointState, "lag/command", print, profile)
-            ours = RosMiddleware(node)
-            ours.publisher("lag/command", "sensor_msgs/msg/JointState", lambda count: None)
-            until(lambda: len(ours.subscribers("/lag/command")) == 3)
-            result = ours.unfit("/lag/command", "sensor_msgs/msg/JointState")
+            rig = RosMiddleware(node)
+            rig.publisher("lag/command", "sensor_msgs/msg/JointState", lambda count: None)
+            until(lambda: len(rig.subscribers("/lag/command")) == 3)
+            result = rig.unfit("/lag/command", "sensor_msgs/msg/JointState")
         finally:
             node.destroy_node()
             context.shutdown()
@@ -148,13 +148,13 @@ def test_an_answer_is_sent_to_a_present_client_and_to_none_that_has_left(monkeyp
         for context in contexts:
             rclpy.init(context=context, domain_id=domain)
         node = ServingNode("ours", context=contexts[0])
-        here, left = (rclpy.create_node(f"stranger{k}", context=contexts[k]) for k in (1, 2))
+        first, left = (rclpy.create_node(f"stranger{k}", context=contexts[k]) for k in (1, 2))
         try:
             node.dropped = lambda: dropped.append(1)
             node.serve_by(lambda period, serve: SimpleNamespace(period=period))
             service = node.create_service(Trigger, "~/press", lambda request, response: response)
             monkeypatch.setattr(node._requests._offers[-1], "send", lambda response, header: sent.append(header))
-            for stranger, known, count in ((here, 1, 2), (left, 2, 3)):
+            for stranger, known, count in ((first, 1, 2), (left, 2, 3)):
                 client = stranger.create_client(Trigger, "/ours/press")
                 assert client.wait_for_service(60.0)
                 until(lambda known=known: len(uses.answer_readers(node, service)) == known)
@@ -164,7 +164,7 @@ def test_an_answer_is_sent_to_a_present_client_and_to_none_that_has_left(monkeyp
             until(lambda: len(uses.answer_readers(node, service)) == 1)
             until(lambda: len(sent) + len(dropped) == 5 or (node._requests.serve(), None)[1])
         finally:
-            here.destroy_node()
+            first.destroy_node()
             node.destroy_node()
             for context in contexts:
                 context.shutdown()

@@ -29,10 +29,10 @@ from softrig_systems.pwa_delay.plants import TankPlant
 
 def moved(plant, steps, **inputs):
     """Advance a plant under constant inputs; return its outputs at the end."""
-    held = ByHand(plant)
+    node = ByHand(plant)
     for k in range(steps):
-        held.advance(to_ns(k * plant.p.period), **inputs)
-    return held.outputs(to_ns(steps * plant.p.period))
+        node.advance(to_ns(k * plant.p.period), **inputs)
+    return node.outputs(to_ns(steps * plant.p.period))
 
 
 def test_dc_motor_twice_the_inertia_half_the_acceleration():

@@ -99,8 +99,8 @@ RIGS = {
 
 @pytest.mark.parametrize("name", [n if n != "im" else pytest.param(n, marks=pytest.mark.long) for n in RIGS])
 def test_the_rig_meets_its_expectations(name, tmp_path):
-    written, given = RIGS[name]
-    text, assumed = written("mine", given)
+    written, sheet = RIGS[name]
+    text, assumed = written("mine", sheet)
     file = tmp_path / "mine.yaml"
     file.write_text(text)
     assert all(line in text for line in assumed)
@@ -150,10 +150,10 @@ HOSTILE = [
 ]
 
 
-@pytest.mark.parametrize(("sheet", "given", "text"), HOSTILE)
-def test_values_of_another_unit_or_machine_are_refused_in_a_line(sheet, given, text):
+@pytest.mark.parametrize(("sheet", "numbers", "text"), HOSTILE)
+def test_values_of_another_unit_or_machine_are_refused_in_a_line(sheet, numbers, text):
     with pytest.raises(ValueError, match=text) as error:
-        sheet(given)
+        sheet(numbers)
     assert "\n" not in str(error.value)
 
 
@@ -171,8 +171,8 @@ def test_the_servo_is_accepted_and_another_convention_of_its_emf_is_remarked():
 
 
 def test_the_verb_writes_each_kind(tmp_path, capsys):
-    for kind, given in (("im", PLATE), ("bldc", FLAT), ("buck", SUPPLY)):
-        values = [f"{k}={v}" for k, v in given.items()]
+    for kind, sheet in (("im", PLATE), ("bldc", FLAT), ("buck", SUPPLY)):
+        values = [f"{k}={v}" for k, v in sheet.items()]
         assert main(["new", f"my_{kind}", "--plant", kind, "--into", str(tmp_path), "--rated", *values]) == 0
         assert f"my_{kind}.yaml; assumed" in capsys.readouterr().out
         assert main(["list", "--signals", str(tmp_path / f"my_{kind}.yaml")]) == 0

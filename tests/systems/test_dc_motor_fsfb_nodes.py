@@ -80,11 +80,11 @@ class Axis:
     def arrives(self, where):
         """Wait until set point and axis have reached a value."""
 
-        def there():
+        def reached():
             asked, y = self.bench.signal("controller", SET_POINT).x, self.bench.signal("plant", Y).x[-50:]
             return asked[-1] == where and np.abs(y - where).max() < 0.1
 
-        self.wait(there)
+        self.wait(reached)
 
     def wait(self, condition):
         """Check the recording when it has grown."""

@@ -23,8 +23,8 @@ BRIDGE = P.vmax - P.bridge_drop  # V
 
 def rows(firmware, *times):
     """The output of the simulator at times in ms."""
-    given = b"".join(struct.pack("<q", t * 1_000_000) for t in times)
-    done = subprocess.run([simulator_of(P), firmware], input=given, capture_output=True, check=True, timeout=60)
+    stamps = b"".join(struct.pack("<q", t * 1_000_000) for t in times)
+    done = subprocess.run([simulator_of(P), firmware], input=stamps, capture_output=True, check=True, timeout=60)
     return list(ROW.iter_unpack(done.stdout))
 
 

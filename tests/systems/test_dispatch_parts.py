@@ -242,9 +242,9 @@ def test_equal_units_are_grouped():
     units = Units(tuple("abcdef"), table)
     assert units.order.tolist() == [0, 2, 5, 3, 1, 4]  # by p_min, then the rest
     assert units.groups.tolist() == [0, 2, 0, 1, 2, 0]
-    given = np.array([30.0, 100.0, 50.0, 80.0, 200.0, 40.0])
-    assert units.sorted_copies(given).tolist() == [50.0, 200.0, 40.0, 80.0, 100.0, 30.0]
-    assert given.tolist() == [30.0, 100.0, 50.0, 80.0, 200.0, 40.0]  # given values do not change
+    P = np.array([30.0, 100.0, 50.0, 80.0, 200.0, 40.0])
+    assert units.sorted_copies(P).tolist() == [50.0, 200.0, 40.0, 80.0, 100.0, 30.0]
+    assert P.tolist() == [30.0, 100.0, 50.0, 80.0, 200.0, 40.0]  # given values do not change
 
 
 def linear(*rows):
@@ -253,7 +253,7 @@ def linear(*rows):
 
 
 @pytest.mark.parametrize(
-    ("given", "demand", "wanted"),
+    ("start", "demand", "wanted"),
     [
         ((5.0, 5.0, 5.0), 17.0, (5.0, 7.0, 5.0)),  # the cheapest of those that can take it all
         ((5.0, 5.0, 5.0), 13.0, (3.0, 5.0, 5.0)),  # the excess is removed from the most expensive unit
@@ -268,9 +268,9 @@ def linear(*rows):
         ((0.0, 0.0, 0.0), 30.0, (10.0, 10.0, 10.0)),
     ],
 )
-def test_the_rest_of_the_balance_is_assigned_where_it_costs_least(given, demand, wanted):
+def test_the_rest_of_the_balance_is_assigned_where_it_costs_least(start, demand, wanted):
     units = linear((0.0, 10.0, 3.0), (0.0, 10.0, 1.0), (0.0, 10.0, 2.0))
-    assert balanced(units, given, demand).tolist() == pytest.approx(wanted, abs=1e-13)
+    assert balanced(units, start, demand).tolist() == pytest.approx(wanted, abs=1e-13)
 
 
 def test_the_range_of_units_is_exact_to_a_millionth():
@@ -384,8 +384,8 @@ def test_conditions_forbid_and_just_allow_the_expected_outputs():
     units = linear((0.0, 100.0, 1.0), (0.0, 60.0, 1.0))
 
     def why(demand, low=(10.0, 10.0), high=(100.0, 60.0), losses=None, reserve=0.0):
-        given = losses or Losses.none(2)
-        return Conditions(np.array(low), np.array(high), given, reserve, np.array([30.0, 70.0])).infeasible(
+        losses_used = losses or Losses.none(2)
+        return Conditions(np.array(low), np.array(high), losses_used, reserve, np.array([30.0, 70.0])).infeasible(
             units, demand
         )
 
@@ -452,8 +452,10 @@ def cheapest(units, demand, points, lowered):
 @pytest.mark.parametrize(("demand", "start"), [(400.0, None), (612.5, [250.0, 100.0, 150.0, 70.0])])
 def test_the_milp_is_the_cheapest_choice_of_segments(demand, start, lowered):
     points = breakpoints(FOUR, 2)
-    given = None if not any(lowered) else [np.full(max(1, len(p) - 1), d) for p, d in zip(points, lowered, strict=True)]
-    result = milp(FOUR, demand, points, given, start=None if start is None else np.array(start))
+    lowerings = (
+        None if not any(lowered) else [np.full(max(1, len(p) - 1), d) for p, d in zip(points, lowered, strict=True)]
+    )
+    result = milp(FOUR, demand, points, lowerings, start=None if start is None else np.array(start))
     objective, P = cheapest(FOUR, demand, points, lowered)
     assert result.objective == pytest.approx(objective, abs=1e-5)
     assert result.P.tolist() == pytest.approx(P, abs=1e-5)
@@ -535,7 +537,7 @@ def test_the_nlp_is_the_best_of_its_arches(P):
     ],
 )
 def test_results_of_ipopt_are_accepted_as_expected(monkeypatch, success, answer, raises, used):
-    given, asked = np.array([220.0, 80.0]), []
+    start, asked = np.array([220.0, 80.0]), []
 
     class Solver:
         def __call__(self, **bounds):
@@ -548,12 +550,12 @@ def test_results_of_ipopt_are_accepted_as_expected(monkeypatch, success, answer,
             return {"success": success}
 
     monkeypatch.setattr(casadi, "nlpsol", lambda *_: Solver())
-    P, succeeded = nlp(PAIR, 300.0, given)
+    P, succeeded = nlp(PAIR, 300.0, start)
     assert succeeded == (used is not False)
-    assert P.tolist() == ([200.0, 100.0] if used else given.tolist())
+    assert P.tolist() == ([200.0, 100.0] if used else start.tolist())
     assert asked[0]["lbx"].tolist() == [200.0, 60.0]
     assert asked[0]["ubx"].tolist() == [300.0, 100.0]
-    assert (asked[0]["x0"].tolist(), asked[0]["lbg"], asked[0]["ubg"]) == (given.tolist(), 300.0, 300.0)
+    assert (asked[0]["x0"].tolist(), asked[0]["lbg"], asked[0]["ubg"]) == (start.tolist(), 300.0, 300.0)
 
 
 # The proof ----------------------------------------------------------------------------------------------
@@ -666,9 +668,9 @@ def test_a_narrow_box_is_one_point_below_all_of_it(plain):
 def problem(units, demand, reserve=0.0, losses=None, ready=None, conditioned=True, groups=None):
     """The problem of the search."""
     n = len(units)
-    given = losses or Losses.none(n)
+    losses_used = losses or Losses.none(n)
     return branch.Problem(units.table, np.arange(n) if groups is None else groups, demand, 1e-3, NARROW, units.p_min,
-                          units.p_max, given.B, given.B0, given.B00, reserve,
+                          units.p_max, losses_used.B, losses_used.B0, losses_used.B00, reserve,
                           units.p_max - units.p_min if ready is None else ready, conditioned)  # fmt: skip
 
 
@@ -744,14 +746,14 @@ def test_the_balance_of_a_box_is_its_tangent_and_the_bound_of_its_error(plain):
     ],
 )
 def test_conditions_are_met_within_their_tolerances(plain, P, reserve, meets):
-    given = problem(
+    case = problem(
         THREE, math.fsum(P) if abs(math.fsum(P) - 400.0) > 1e-3 else 400.0, reserve, ready=np.array([30.0, 10.0, 20.0])
     )
-    assert plain._meets(given, np.array(P)) == meets
+    assert plain._meets(case, np.array(P)) == meets
 
 
 def test_a_nearly_balanced_dispatch_is_repaired_by_the_cheapest_unit(plain):
-    given = problem(THREE, 380.0, losses=LOSSES)
+    case = problem(THREE, 380.0, losses=LOSSES)
     for start in ([200.0, 70.0, 130.0], [210.0, 119.0, 60.0], [130.0, 110.0, 149.5], [399.0, 21.0, 50.0]):
         choices = []
         for j in range(3):
@@ -761,7 +763,7 @@ def test_a_nearly_balanced_dispatch_is_repaired_by_the_cheapest_unit(plain):
             if THREE.p_min[j] <= P[j] <= THREE.p_max[j]:
                 choices.append((THREE.total(P), P.tolist()))
         P = np.array(start)
-        result = plain._mended.py_func(given, P)
+        result = plain._mended.py_func(case, P)
         if choices:
             assert (result, P.tolist()) == (pytest.approx(min(choices)[0]), pytest.approx(min(choices)[1]))
         else:
@@ -811,31 +813,31 @@ CONDITIONS = {
 )
 def test_a_proof_with_conditions_is_a_lower_bound_and_reaches_the_best_within_its_boxes(case, demand, boxes):
     losses, reserve, ready, low, high = CONDITIONS[case]
-    given = Conditions(
+    conditions = Conditions(
         THREE.p_min if low is None else np.array(low),
         THREE.p_max if high is None else np.array(high),
         losses or Losses.none(3),
         reserve,
         np.array(ready) if ready else THREE.p_max - THREE.p_min,
     )
-    best = brute(THREE, demand, losses, reserve, given.ready, given.low, given.high)
-    result = Optimiser(THREE).conditioned(demand, given)
+    best = brute(THREE, demand, losses, reserve, conditions.ready, conditions.low, conditions.high)
+    result = Optimiser(THREE).conditioned(demand, conditions)
     assert result.bound <= best + 1e-9
     assert result.cost <= best + 1e-3
     assert result.gap <= 1e-3
     assert result.nodes == pytest.approx(boxes, rel=0.05)
-    assert (result.losses, result.reserve) == (given.losses.of(result.P), given.spinning(THREE, result.P))
+    assert (result.losses, result.reserve) == (conditions.losses.of(result.P), conditions.spinning(THREE, result.P))
     assert (result.stage, result.reason) == ("branch and bound", "proven")
-    share = 1.0 - given.losses.slopes(result.P)  # of a MW of a unit that arrives
+    share = 1.0 - conditions.losses.slopes(result.P)  # of a MW of a unit that arrives
     left, right = (s / share for s in THREE.slopes(result.P))
     assert result.price == (max(left), min(right))
 
 
 @pytest.mark.parametrize("reserve", [0.0, 45.0])
 def test_the_starting_point_of_a_proof_counts_if_it_meets_the_conditions(reserve):
-    given = Conditions(THREE.p_min, THREE.p_max, Losses.none(3), reserve, np.array([30.0, 10.0, 20.0]))
+    conditions = Conditions(THREE.p_min, THREE.p_max, Losses.none(3), reserve, np.array([30.0, 10.0, 20.0]))
     for P, good in (((200.0, 70.0, 130.0), True), ((200.0, 70.0, 131.0), False), ((130.0, 120.0, 150.0), not reserve)):
-        proof = branch.branch_and_bound(THREE, 400.0, np.array(P), 1e-3, 0, given)
+        proof = branch.branch_and_bound(THREE, 400.0, np.array(P), 1e-3, 0, conditions)
         assert (proof.cost, proof.nodes) == (pytest.approx(THREE.total(P)) if good else np.inf, 0)
         assert proof.P.tolist() == list(P)
         assert proof.bound == -np.inf
@@ -856,12 +858,12 @@ def test_an_answer_without_a_proof_claims_none():
 
 def test_the_search_begins_with_equal_shares_of_the_ranges_or_with_the_given_point():
     work = Optimiser(PAIR)
-    for given, arches in [
+    for start, arches in [
         (None, [(200.0, 60.0), (300.0, 100.0)]),  # 180 of 400 MW: 100 + 135, 20 + 45
         ((250.0, 50.0), [(200.0, 20.0), (300.0, 60.0)]),
         ((150.0, 110.0), [(100.0, 100.0), (200.0, 120.0)]),  # 40 MW are missing
     ]:
-        result = work.start(300.0, None if given is None else np.array(given))
+        result = work.start(300.0, None if start is None else np.array(start))
         for p, low, high in zip(result, *arches, strict=True):
             assert low - 1e-9 <= p <= high + 1e-9
         assert result.sum() == pytest.approx(300.0)
@@ -921,8 +923,8 @@ def test_a_segment_is_split_where_its_chord_is_too_low():
 
 def test_impossible_problems_are_reported_with_their_numbers():
     def conditioned(demand, reserve=0.0, nodes=1000, losses=None):
-        given = Conditions.of(PAIR, losses, reserve)
-        return Optimiser(PAIR, max_nodes=nodes).conditioned(demand, given)
+        conditions = Conditions.of(PAIR, losses, reserve)
+        return Optimiser(PAIR, max_nodes=nodes).conditioned(demand, conditions)
 
     with pytest.raises(InfeasibleError, match=r"^infeasible: no dispatch meets demand 515 MW and reserve 20 MW$"):
         conditioned(515.0, 20.0)
@@ -1018,8 +1020,8 @@ def test_a_dispatch_is_requested_at_the_expected_ticks():
         (2000.0, broken, None, None),  # beyond the units
         (910.0, dear, None, 910.0),
     ]:
-        given = {"demand": None if demand is None else (demand,), "solve": None if solve is None else (solve,)}
-        x, request = solver.request(x, 0, units=units, **given)
+        inputs = {"demand": None if demand is None else (demand,), "solve": None if solve is None else (solve,)}
+        x, request = solver.request(x, 0, units=units, **inputs)
         assert (request and request.demand) == wanted
         if request:
             asked.append(request)

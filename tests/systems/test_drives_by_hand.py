@@ -51,18 +51,18 @@ def test_the_set_point_follows_references_and_presses():
     accept = SetPoint(2.0, lambda level, key, text: messages.append(key), 4.0)
     asked, value, known, down = Asked(), 0.0, None, (False, False)
     for _ in range(400):
-        given = draw_.choice((None, 4.0, 0.0, -1.5))
+        reference = draw_.choice((None, 4.0, 0.0, -1.5))
         buttons = draw_.random() < 0.5, draw_.random() < 0.4
         fresh = [now and not before for now, before in zip(buttons, down, strict=True)]
         before, reported = value, []
-        if given is not None and given != known:
-            value = known = given
+        if reference is not None and reference != known:
+            value = known = reference
         if buttons == (True, True):
             reported += ["buttons"] if any(fresh) else []
         else:
             value += 2.0 * fresh[0] - 2.0 * fresh[1]
         reported += ["step"] if abs(value - before) > 4.0 else []
-        asked = accept(asked, given, *buttons)
+        asked = accept(asked, reference, *buttons)
         assert (asked.value, asked.forward, asked.reverse, messages) == (value, *buttons, reported)
         messages.clear()
         down = buttons
@@ -166,7 +166,7 @@ def test_the_axis_controller_is_exact_at_its_limits():
     law = ByHand(FsfbController(**made))
     assert law.refused(0) == {"command": (0.0,), "model": (0.0,) * 5, "controller_state": (0.0,) * 5}
 
-    def told(compensation, *ticks):
+    def reported(compensation, *ticks):
         law = ByHand(FsfbController(compensation=compensation, **made))
         for t, stamp in ticks:
             outputs = law.update(
@@ -174,16 +174,16 @@ def test_the_axis_controller_is_exact_at_its_limits():
             )
         return sorted(law.reports), outputs["command"][0]
 
-    assert told("none", (0, 0), (100, 0))[0] == []
-    assert told("none", (0, 0), (110, 0)) == (["feedback age"], 0.0)
-    assert told("none", (0, 0), (10, 11)) == (["feedback time"], 0.0)
-    assert told("none", (0, 0), (10, 0), (20, 0))[0] == []  # the same again is no step back
-    assert told("none", (0, 0), (10, 10), (20, 0))[0] == ["feedback order"]
-    assert told("predictor", (0, 0), (10, 10), (20, 0))[1] != 0.0
-    assert told("predictor", (0, 0), (60, 0))[0] == []  # five periods left out
-    assert told("predictor", (0, 0), (70, 0)) == (["predictor"], 0.0)
-    assert told("predictor", (50, 50), (60, 40)) == (["feedback order"], pytest.approx(-0.222, abs=1e-3))
-    assert told("predictor", (0, 0), (10, 0))[0] == []  # one command is known and one is needed
+    assert reported("none", (0, 0), (100, 0))[0] == []
+    assert reported("none", (0, 0), (110, 0)) == (["feedback age"], 0.0)
+    assert reported("none", (0, 0), (10, 11)) == (["feedback time"], 0.0)
+    assert reported("none", (0, 0), (10, 0), (20, 0))[0] == []  # the same again is no step back
+    assert reported("none", (0, 0), (10, 10), (20, 0))[0] == ["feedback order"]
+    assert reported("predictor", (0, 0), (10, 10), (20, 0))[1] != 0.0
+    assert reported("predictor", (0, 0), (60, 0))[0] == []  # five periods left out
+    assert reported("predictor", (0, 0), (70, 0)) == (["predictor"], 0.0)
+    assert reported("predictor", (50, 50), (60, 40)) == (["feedback order"], pytest.approx(-0.222, abs=1e-3))
+    assert reported("predictor", (0, 0), (10, 0))[0] == []  # one command is known and one is needed
 
 
 def test_the_axis_sticks_up_to_its_stiction_and_no_speed_is_beyond_its_limit():
@@ -373,11 +373,11 @@ def test_direct_torque_control_step_by_step(options):
         else:
             i_a, i_b, link_now, asked, w = (draw_.uniform(-4.0, 4.0) for _ in range(5))
             link_now = 500.0 + 20.0 * link_now
-            given = {"joint_states": (40.0 * w,)} if p.estimator == "observer" else {}
+            inputs = {"joint_states": (40.0 * w,)} if p.estimator == "observer" else {}
             answer = law.update(
-                t, currents_meas=(i_a, i_b, 0.0), dc_link=(link_now,), torque_ref=(5.0 * asked,), **given
+                t, currents_meas=(i_a, i_b, 0.0), dc_link=(link_now,), torque_ref=(5.0 * asked,), **inputs
             )
-            omega = 40.0 * w if given else 0.0
+            omega = 40.0 * w if inputs else 0.0
             i_a, i_b = i_a + 0.3, i_b + 0.3
             x = estimate(x, voltage(VECTORS[vector]) * link, complex(i_a, (i_a + 2.0 * i_b) / math.sqrt(3.0)), omega)
             wanted = 0.8 * min(1.0, k / 10.0) if k < 20 else 0.8

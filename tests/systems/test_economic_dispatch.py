@@ -1,19 +1,16 @@
 """Economic dispatch: the model, both stages, the proof and its independent checks, the node."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from softrig_core import ByHand, Level, ParameterError, list_scenarios, simulate
-from softrig_core.solver.solver import Result
-from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
-from softrig_power.dispatch.branch import branch_and_bound, chord_excess
-from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
+from softrig_core import ByHand, ParameterError, list_scenarios, simulate
+from softrig_power.dispatch.baselines import lambda_iteration, without_ripples
+from softrig_power.dispatch.branch import branch_and_bound
+from softrig_power.dispatch.certify import InfeasibleError, Optimiser
 from softrig_power.dispatch.enumeration import TooManyError, enumerate_kinks
 from softrig_power.dispatch.fleet import UnitFleet
 from softrig_power.dispatch.solver import DispatchSolver
 from softrig_power.dispatch.two_stage import breakpoints, milp, nlp
-from softrig_power.dispatch.units import TableError, Units, balanced, marginal_cost
+from softrig_power.dispatch.units import Units, balanced, marginal_cost
 
 # table, demand (MW), optimal cost ($/h), its tolerance: the cases of Sharifzadeh 2020, Tables II to VI, corrected
 CASES = {
@@ -39,32 +36,6 @@ def feasible(units, P, demand):
 # Model ----------------------------------------------------------------------------------------------
 
 
-def test_the_cost_is_equation_1_and_its_slopes_are_its_derivatives():
-    units = Units.read("units_13")
-    P = units.p_min + 0.37 * (units.p_max - units.p_min)
-    row = units.table[2]
-    assert units.cost(P)[2] == pytest.approx(
-        row[2] * P[2] ** 2 + row[3] * P[2] + row[4] + abs(row[5] * np.sin(row[6] * (row[0] - P[2]))), rel=1e-14
-    )
-    left, right = units.slopes(P)
-    numeric = (units.cost(P + 1e-5) - units.cost(P - 1e-5)) / 2e-5
-    assert left == pytest.approx(numeric, rel=1e-6)
-    assert right == pytest.approx(numeric, rel=1e-6)
-    P[0] = units.valve_points(0)[3]
-    left, right = units.slopes(P)
-    assert right[0] - left[0] == pytest.approx(2 * 300 * 0.035, rel=1e-9)  # 2 e f
-    assert units.slopes(units.p_min)[0].tolist() == [-np.inf] * 13
-
-
-def test_valve_points_are_where_the_ripple_is_zero():
-    units = Units.read("units_40")
-    for j in range(len(units)):
-        ends = units.valve_points(j)
-        ripple = units.table[j, 5] * np.abs(np.sin(units.table[j, 6] * (ends[:-1] - units.p_min[j])))
-        assert ripple == pytest.approx(0.0, abs=1e-9)
-        assert (np.diff(ends) > 0).all()
-
-
 def test_unusual_units_have_no_arches_or_merged_ones():
     ranges = [(100, 100), (0, 200), (0, 200), (0, 2 * np.pi / 0.03 + 5e-7)]
     ripples = [(300, 0.03), (0, 0.03), (300, 0), (300, 0.03)]
@@ -78,35 +49,6 @@ def test_unusual_units_have_no_arches_or_merged_ones():
     assert feasible(units, result.P, 400.0)
     assert result.P[0] == 100.0
     assert result.gap <= 1e-3
-
-
-def test_a_broken_table_is_refused_by_row_and_column(tmp_path):
-    good = (["a", "b"], np.array([[0.0, 10, 0.1, 1, 1, 1, 1]] * 2))
-    broken = [
-        (1, 0, np.nan, "unit b, column p_min_MW: nan"),
-        (0, 5, -1.0, "unit a, column e_usd"),
-        (0, 2, -1.0, "unit a, column a_usd"),
-        (1, 6, -1.0, "unit b, column f_rad"),
-        (0, 0, 11.0, "unit a: p_min_MW 11 is above p_max_MW 10"),
-    ]
-    for row, column, value, text in broken:
-        table = good[1].copy()
-        table[row, column] = value
-        with pytest.raises(TableError, match=text):
-            Units(tuple(good[0]), table)
-    with pytest.raises(TableError, match="unit a: its name occurs twice"):
-        Units(("a", "a"), good[1])
-    file = tmp_path / "units.csv"
-    head = "unit,p_min_MW,p_max_MW,a_usd_per_MW2h,b_usd_per_MWh,c_usd_per_h,e_usd_per_h,f_rad_per_MW\n"
-    files = [
-        (head, "no unit in it"),
-        (head.replace(",e_usd_per_h", "") + "a,1,2,3,4,5,6\n", "no column e_usd"),
-        (head + "a,1,2,3,4,5,x,7\n", "line 2, column e_usd_per_h: 'x' is no number"),
-    ]
-    for text, message in files:
-        file.write_text(text)
-        with pytest.raises(TableError, match=message):
-            Units.read(str(file))
 
 
 # The published cases ----------------------------------------------------------------------------------------------
@@ -194,29 +136,6 @@ def test_the_plain_two_stages_are_no_proof():
 # The proof ----------------------------------------------------------------------------------------------
 
 
-def test_no_chord_lowered_is_above_the_cost():
-    """Every segment of the 40 units, at 100 points; on units 27 to 29 plain chords overestimate by dollars."""
-    units = Units.read("units_40")
-
-    def alone(j):
-        return Units(("one",), units.table[j : j + 1])
-
-    worst = 0.0
-    for nseg in (1, 3):
-        for j, points in enumerate(breakpoints(units, nseg)):
-            low = lowering(units, j, points)
-            for (x0, x1), down in zip(pairwise(points), low, strict=True):
-                x = np.linspace(x0, x1, 100)
-                cost = alone(j).cost(x[:, None])[:, 0]
-                chord = np.interp(x, [x0, x1], cost[[0, -1]])
-                worst = max(worst, float((chord - cost).max()))
-                assert (chord - down <= cost + 1e-9).all()
-    assert worst > 1.0
-    assert chord_excess(units.table[26], *units.valve_points(26)[:2]) > 1.0
-    # cost p^2 + 10 |sin p|: concave in each arch, whatever the sign of its sine
-    assert [chord_excess((0.0, 9.0, 1.0, 0.0, 0.0, 10.0, 1.0), k * np.pi, (k + 1) * np.pi) for k in range(2)] == [0, 0]
-
-
 @pytest.mark.long
 def test_the_bound_holds_for_random_units():
     """Against brute force on a fine grid: three random units, the third takes the residual."""
@@ -301,17 +220,6 @@ def test_fewer_boxes_give_a_lower_bound_never_a_wrong_one():
 # Prices and baselines ----------------------------------------------------------------------------------------------
 
 
-def test_the_price_is_the_cost_change_of_a_megawatt_more_or_less(case):
-    units, _, _, _, result = case
-    less, more = result.price
-    assert less <= more + 1e-9
-    for step, price in ((-1e-4, less), (1e-4, more)):
-        j = int(np.argmax(units.slopes(result.P)[0])) if step < 0 else int(np.argmin(units.slopes(result.P)[1]))
-        P = result.P.copy()
-        P[j] += step
-        assert (units.total(P) - result.cost) / step == pytest.approx(price, abs=2e-3)
-
-
 def test_lambda_iteration_meets_equal_slopes_and_bounds_the_cost():
     units = Units.read("units_40")
     plain = without_ripples(units)
@@ -322,14 +230,6 @@ def test_lambda_iteration_meets_equal_slopes_and_bounds_the_cost():
     # an independent solver of the same quadratic problem
     assert plain.total(P) == pytest.approx(plain.total(nlp(plain, 10500.0, P * 0 + units.p_min)[0]), abs=1e-5)
     assert plain.total(P) < 121412.5
-
-
-def test_a_swarm_is_feasible_and_misses_the_optimum():
-    units = Units.read("units_13")
-    P = swarm(units, 1800.0, "pso", seed=1, n_pop=30, n_iter=60)
-    assert feasible(units, P, 1800.0)
-    assert 17963.829 * 1.002 < units.total(P) < 17963.829 * 1.06
-    assert P.tolist() == swarm(units, 1800.0, "pso", seed=1, n_pop=30, n_iter=60).tolist()
 
 
 def test_a_demand_beyond_the_units_is_infeasible_with_both_sums():
@@ -403,61 +303,6 @@ def test_a_result_is_published_once_with_its_cost_and_rows(node):
     assert ask(node, 3, 850.0, solve=(1.0,)) == {}  # held down: not again
 
 
-def test_a_late_result_belongs_to_its_request():
-    """Demand and table change during the work."""
-    units = Units.read("units_3")
-    dear = units.table.copy()
-    dear[:, 4] += 100.0
-    block = ByHand(DispatchSolver(unit_table="units_3", latency=2.0))
-    assert ask(block, 0, 850.0) == {}
-    assert ask(block, 1, 900.0, units=tuple(dear.ravel())) == {}
-    result = ask(block, 2, 1300.0, units=tuple(dear.ravel()))  # beyond the capacity of the units, so no request is made
-    demand, cost, *_ = result["summary"]
-    assert demand == 850.0 == pytest.approx(sum(result["setpoints"]))
-    costs = np.reshape(result["result"], (3, 4))[:, 1]
-    assert costs == pytest.approx(units.cost(np.array(result["setpoints"])))
-    assert cost == pytest.approx(costs.sum())
-    later = [ask(block, t, 1300.0, units=tuple(dear.ravel())) for t in (3, 4)][-1]
-    assert later["summary"][0] == 900.0
-    assert later["summary"][1] == pytest.approx(Units(units.ids, dear).total(later["setpoints"]))
-    block.reset(0)  # ends the working process
-
-
-def test_an_infeasible_demand_is_an_error_and_the_last_set_points_stay(node):
-    assert ask(node, 0, 850.0)
-    for k, demand in enumerate((249.0, 1300.0)):
-        assert ask(node, 1 + k, demand) == {}
-        level, text, count = node.reports["infeasible"]
-        assert level == Level.ERROR
-        assert f"demand {demand:g} MW, but the units give 250 to 1200 MW" in text
-        assert count == 1 + k
-        assert node.anew == {"infeasible"}  # logged each time
-        node.anew.clear()
-    assert ask(node, 5, 900.0)["setpoints"]
-    assert "infeasible" not in node.reports  # diagnostics are those of the dispatch in effect
-
-
-@pytest.mark.parametrize(("answer", "why"), [(None, "no dispatch in time"), ("too many kinks", "too many kinks")])
-def test_without_a_dispatch_the_last_set_points_stay(answer, why):
-    block = DispatchSolver(unit_table="units_3")
-    assert block.answer(block.first(), 0, Result(0, None, answer, answer is not None), True)[1] == {}
-    assert block.events == [(Level.ERROR, "no dispatch", f"{why}; the last set points stay", True)]
-
-
-def test_another_table_counts_and_a_broken_one_does_not(node):
-    table = Units.read("units_3").table.copy()
-    table[0, 4] += 100.0  # 100 $/h more at any output
-    cost = ask(node, 0, 850.0)["summary"][1]
-    more = ask(node, 1, 850.0, units=tuple(table.ravel()))["summary"][1]
-    assert more == pytest.approx(cost + 100.0, abs=1e-6)
-    table[1, 5] = -1.0
-    # the refused table changes nothing, so nothing is published
-    assert ask(node, 2, 850.0, units=tuple(table.ravel())) == {}
-    again = ask(node, 3, 860.0, units=tuple(table.ravel()))["summary"][1]
-    assert again > more
-    assert "unit 2, column e_usd_per_h: -1, expected at least 0" in node.reports["units"][1]
-
-
 def test_a_bad_table_stops_the_node_and_the_scenario(tmp_path):
     (tmp_path / "bad.csv").write_text("unit,p_min_MW\na,1\n")
     with pytest.raises(ParameterError, match=r"unit_table.*bad.csv: no column p_max_MW"):
@@ -466,15 +311,3 @@ def test_a_bad_table_stops_the_node_and_the_scenario(tmp_path):
         ParameterError, match=r"unit_table.*no file 'package://softrig_power/dispatch/tables/units_4.csv'"
     ):
         UnitFleet(unit_table="units_4")
-
-
-def test_the_fleet_follows_within_limits_and_ramp():
-    fleet = ByHand(UnitFleet(unit_table="units_3", ramp=50.0))
-    assert fleet.outputs(0)["state"][:3] == (100.0, 50.0, 100.0)
-    fleet.advance(0, setpoints=(300.0, 10.0, 110.0))
-    assert fleet.outputs(1)["state"][:3] == (150.0, 50.0, 110.0)
-    output, cost = fleet.outputs(1)["total"]
-    assert output == 310.0
-    assert cost == Units.read("units_3").total([150.0, 50.0, 110.0])
-    numeric = np.diff(Units.read("units_3").cost([[150 - 1e-5, 60, 110], [150 + 1e-5, 60, 110]]), axis=0)[0, 0] / 2e-5
-    assert fleet.outputs(1)["state"][3] == pytest.approx(numeric, rel=1e-6)

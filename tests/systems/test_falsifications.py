@@ -14,7 +14,7 @@ def test_every_shipped_falsification_fits_its_rig(name):
     task = falsification_of(name, {})
     scenario = load_scenario(task.scenario)
     assert set(task.requirements) <= scenario.requirements.keys() | scenario.expect.keys()
-    space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
+    space = space_of(scenario, [parse(key, text) for key, text in task.over.items()])
     for over, nominal in zip(space.overs, space.nominal, strict=True):  # the paper's own numbers are in the range
         numbers = nominal if isinstance(nominal, list) else [nominal]
         assert all(over.low <= x <= over.high for x in numbers)

@@ -38,8 +38,10 @@ BAGS = Path(__file__).parents[2] / "bags"
 
 
 def rig(case=AG, **settings):
-    given = {key.replace("__", "."): value for key, value in settings.items()}
-    return build(RigParams, {"fault.type": case.type, "fault.x_km": case.x_km, "fault.rf_ohm": case.rf_ohm} | given)
+    parameters = {key.replace("__", "."): value for key, value in settings.items()}
+    return build(
+        RigParams, {"fault.type": case.type, "fault.x_km": case.x_km, "fault.rf_ohm": case.rf_ohm} | parameters
+    )
 
 
 def simulated(case=AG, **settings):
@@ -258,6 +260,21 @@ def test_sensitivity(noise, monkeypatch):
         if "SNR" in name and not noise:
             continue
         np.testing.assert_allclose(table[name], reference, atol=apart, err_msg=name)
+    expected = {  # the numbers of the page
+        "none": [-10, 5, -1, 3],
+        "SNR 60 dB, std": [5, 8, 4, 2],
+        "SNR 40 dB, std": [48, 85, 40, 28],
+        "SNR 30 dB, std": [130, 237, 118, 87],
+        "R end late by 1 us": [-8, 20, 14, 8],
+        "R end late by 10 us": [-5, 186, 145, 54],
+        "u_S +0.5 %": [129, 449, 57, 78],
+        "i_R +0.5 %": [15, 19, 85, 37],
+        "L1 +1 %": [118, -300, 248, -209],
+        "R1 doubled": [-276, -1089, 101, -352],
+        "R1 = 0": [308, 1003, 59, 265],
+    }
+    for name in expected.keys() & table.keys():
+        np.testing.assert_allclose(table[name], expected[name], atol=2.0, err_msg=name)
 
 
 # records that are unfit ---------------------------------------------------------------------------------------------
@@ -553,7 +570,7 @@ def test_going_back_in_a_record_repeats_it():
     """Noise and samples included, twice, also where another record has begun in between."""
     plant = ByHand(LinePlant(measurement={"profile": "m4k", "noise_snr_db": 40.0}, duration=0.01))
 
-    def said(first, pressed=-1):
+    def outputs_from(first, pressed=-1):
         result = []
         for k in range(first, 60):
             result.append(plant.outputs(k * 250_000))
@@ -563,13 +580,13 @@ def test_going_back_in_a_record_repeats_it():
     for _ in range(20):
         plant.advance(0, run=None)
     saved = plant.save()
-    once = said(20)
+    once = outputs_from(20)
     assert [len(answer["record"]) for answer in once if "record" in answer] == [40 * 13]
     plant.load(saved)
-    again = said(20, pressed=30)
+    again = outputs_from(20, pressed=30)
     assert (again[:11], again[11]["u_s"] != once[11]["u_s"]) == (once[:11], True)
     plant.load(saved)
-    assert said(20) == once
+    assert outputs_from(20) == once
 
 
 def test_markers(runs):
@@ -651,11 +668,11 @@ def test_comtrade_with_false_counts_is_refused_before_memory_is_allocated(
 
 
 def test_the_study_tool_accepts_what_launch_passes_to_every_executable(monkeypatch, capsys):
-    given = []
-    monkeypatch.setattr(study_tool, "sensitivity", lambda processes: given.append(processes) or {})
+    numbers = []
+    monkeypatch.setattr(study_tool, "sensitivity", lambda processes: numbers.append(processes) or {})
     ros = ["--ros-args", "-r", "__node:=study", "-p", "a:=1", "--"]
     assert study_tool.main([*ros, "--sensitivity", "--processes", "3", "--ros-args", "--log-level", "info"]) == 0
-    assert given == [3]
+    assert numbers == [3]
 
 
 def test_ctrl_c_stops_the_study_tool_without_a_traceback(monkeypatch, capsys):
@@ -751,11 +768,11 @@ def test_the_pictures_of_methods_and_misprints_show_their_errors_and_minima(reco
 
 
 def test_tables_of_the_study_are_as_expected(monkeypatch, capsys, tmp_path):
-    rows, given = [*rows_by_formula()], []
-    monkeypatch.setattr(study_tool, "run", lambda jobs, processes: given.append((jobs, processes)) or rows)
-    monkeypatch.setattr(study_tool, "_save", lambda rows, out: given.append((len(rows), out)))
+    rows, calls = [*rows_by_formula()], []
+    monkeypatch.setattr(study_tool, "run", lambda jobs, processes: calls.append((jobs, processes)) or rows)
+    monkeypatch.setattr(study_tool, "_save", lambda rows, out: calls.append((len(rows), out)))
     assert study_tool.main(["--methods", "brent", "--profile", "m10k", "--processes", "2", "--out", str(tmp_path)]) == 0
-    (jobs, processes), saved = given
+    (jobs, processes), saved = calls
     assert (processes, saved) == (2, (48, tmp_path))
     assert jobs == [(case, {"measurement.profile": "m10k"}, {"algorithm": "brent"}) for case in PUBLISHED]
     asked = [(rig["measurement.profile"], own) for _, rig, own in study.published_jobs(seed=3)[:6]]
@@ -765,7 +782,7 @@ def test_tables_of_the_study_are_as_expected(monkeypatch, capsys, tmp_path):
     *text, last = capsys.readouterr().out.splitlines()
     assert last.startswith("48 locations in 0 s")
     assert study_tool.main([]) == 0
-    assert given[-1] == (study.published_jobs(), None)
+    assert calls[-1] == (study.published_jobs(), None)
     assert capsys.readouterr().out.splitlines()[:-1] == text
     table = study_tool.sensitivity_table({"none": [1.0, -2.25, 1e3, math.nan], "R1 = 0": [0.0] * 4})
     changed = [f"{name}: {rig} {locator}" for name, rig, locator in study.disturbances()]

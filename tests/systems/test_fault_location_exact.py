@@ -138,9 +138,9 @@ def test_line_and_locator(case, metres):
             }
         )
         window = slice(round(0.015 * record.rate), round(0.040 * record.rate))
-        ours, theirs = simulate(rig).samples[window], record.samples[window]
-        apart = np.sqrt(np.mean((ours - theirs) ** 2, axis=0)).reshape(4, 3).max(axis=1)
-        apart /= np.sqrt(np.mean(theirs**2, axis=0)).reshape(4, 3).max(axis=1)
+        simulated, by_transform = simulate(rig).samples[window], record.samples[window]
+        apart = np.sqrt(np.mean((simulated - by_transform) ** 2, axis=0)).reshape(4, 3).max(axis=1)
+        apart /= np.sqrt(np.mean(by_transform**2, axis=0)).reshape(4, 3).max(axis=1)
         assert apart[[0, 2]].max() < 0.0215
         assert apart[[1, 3]].max() < 0.0030
         location = locate(record, LocatorParams())

@@ -62,7 +62,7 @@ def changed(at, value, t=None, channel=0):
 
 
 @pytest.mark.parametrize(
-    ("given", "status", "text"),
+    ("rows", "status", "text"),
     [
         (np.ones(13), Status.TOO_SHORT, "a record of shape (13,): expected (samples, 13)"),
         (np.ones((5, 12)), Status.TOO_SHORT, "a record of shape (5, 12): expected (samples, 13)"),
@@ -81,9 +81,9 @@ def changed(at, value, t=None, channel=0):
         (changed(slice(None), 0.0, channel=4), Status.DEAD_CHANNEL, "dead channel: i_s/a is zero in the whole record"),
     ],
 )
-def test_an_unfit_record_is_refused_with_the_expected_message(given, status, text):
+def test_an_unfit_record_is_refused_with_the_expected_message(rows, status, text):
     with pytest.raises(RecordError) as refused:
-        Record.from_table(given)
+        Record.from_table(rows)
     assert (refused.value.status, str(refused.value)) == (status, text)
 
 
@@ -867,16 +867,16 @@ def test_each_item_of_the_budget_shifts_the_place(monkeypatch):
     record, p = long_record(200), LocatorParams(algorithm="woa", mode="auto")
     seen = []
 
-    def locate(given, settings):
-        seen.append((given, settings))
-        sums = np.abs(given.samples).sum(axis=0).reshape(4, 3).sum(axis=1) / np.abs(record.samples).sum() * 4.0
+    def locate(changed_record, settings):
+        seen.append((changed_record, settings))
+        sums = np.abs(changed_record.samples).sum(axis=0).reshape(4, 3).sum(axis=1) / np.abs(record.samples).sum() * 4.0
         place = 50.0 + sums @ [1.0, -2.0, 4.0, 8.0] + 1e3 * settings.line.l1 + 10.0 * settings.line.r1
         return Location(Status.OK, float(place))
 
     monkeypatch.setattr(trust, "locate", locate)
-    monkeypatch.setattr(trust, "shifted", lambda given, late: given.samples[:, 6:] * (1.0 + 1e4 * late))
+    monkeypatch.setattr(trust, "shifted", lambda arguments, late: arguments.samples[:, 6:] * (1.0 + 1e4 * late))
     monkeypatch.setattr(trust, "_scatter", lambda work, result: 0.25)
-    monkeypatch.setattr(trust, "Locator", lambda *given: None)
+    monkeypatch.setattr(trust, "Locator", lambda *arguments: None)
     budget = ErrorBudget(sync_us=2.0, ratio=0.01, reactance=0.02, resistance=0.5)
     result = trust.confidence(record, p, Location(Status.OK, 61.0, 4.0, 100.0, 2), budget)
     share = np.abs(record.samples).sum(axis=0).reshape(4, 3).sum(axis=1) / np.abs(record.samples).sum() * 4.0
@@ -898,7 +898,7 @@ def test_each_item_of_the_budget_shifts_the_place(monkeypatch):
     assert trust.confidence(record, p, Location(Status.OK, 61.0, 0.0, 100.0, 2), none) == Confidence(0.25, {}, math.inf)
     with pytest.raises(ValueError, match=r"^there is no position: nothing$"):
         trust.confidence(record, p, Location(Status.NO_FAULT, text="nothing"))
-    monkeypatch.setattr(trust, "locate", lambda *given: Location(Status.NO_FAULT))
+    monkeypatch.setattr(trust, "locate", lambda *arguments: Location(Status.NO_FAULT))
     assert trust.confidence(record, p, Location(Status.OK, 61.0, 4.0, 100.0, 2)).effects_km == {}
 
 
@@ -1007,9 +1007,9 @@ def contradicted(monkeypatch, own, others, least_at=2, limit=0.05, voltage=1000.
         curves=np.full((3, 5), 2.0 * own) - own * (np.arange(5) == least_at))  # fmt: skip
     seen = []
 
-    def apart(of, given, stretch):
+    def apart(of, changed_record, stretch):
         seen.append(stretch)
-        by = given.part if stretch == (10, 10) else given.by
+        by = changed_record.part if stretch == (10, 10) else changed_record.by
         return lambda x: np.full(len(x), float(by))
 
     monkeypatch.setattr(ends, "_apart", apart)
@@ -1238,9 +1238,9 @@ def test_phases_close_and_open_at_the_expected_steps(monkeypatch):
 @pytest.mark.parametrize("profile", ["m20k", "raw1m"])
 def test_steps_computed_in_blocks_equal_single_ones(profile):
     """Blocks of any length: a fault that closes and opens within one, a ring that wraps around, a late clock."""
-    given = {"fault.type": "ABG", "fault.x_km": 12.0, "fault.t_on": 2.13e-4, "fault.t_off": 4.01e-4,
+    parameters = {"fault.type": "ABG", "fault.x_km": 12.0, "fault.t_on": 2.13e-4, "fault.t_off": 4.01e-4,
              "measurement.profile": profile, "measurement.shift_us_r": 90.0}  # fmt: skip
-    one, several, whole = (FaultedLine(build(RigParams, given)) for _ in range(3))
+    one, several, whole = (FaultedLine(build(RigParams, parameters)) for _ in range(3))
     for k in range(12_000):
         advance(one.net, one.chain, CLARKE, one.state, k, 1)
     whole.advance(12_000)
@@ -1352,7 +1352,7 @@ NEAR = (
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("parameters", "text"),
     [
         ({"step": 3e-6}, "step = 3e-06 s does not divide the sampling period 5e-05 s of m20k"),
         ({"step": 1e-4}, "step = 0.0001 s does not divide the sampling period 5e-05 s of m20k"),
@@ -1362,9 +1362,9 @@ NEAR = (
         ({"fault.x_km": 118.95}, NEAR.format(118.95)),
     ],
 )
-def test_impossible_lines_are_refused(given, text):
+def test_impossible_lines_are_refused(parameters, text):
     with pytest.raises(ParameterError) as refused:
-        build(RigParams, given)
+        build(RigParams, parameters)
     assert text in str(refused.value)
 
 
@@ -1393,12 +1393,12 @@ def test_a_row_of_the_study(monkeypatch):
     assert lines[3:] == [""]
 
 
-@pytest.mark.parametrize("given", [["--profile", "raw1m"], ["--methods", "guess"], ["--processes", "two"]])
-def test_the_study_takes_known_profiles_and_methods_only(capsys, given):
+@pytest.mark.parametrize("words", [["--profile", "raw1m"], ["--methods", "guess"], ["--processes", "two"]])
+def test_the_study_takes_known_profiles_and_methods_only(capsys, words):
     with pytest.raises(SystemExit) as ended:
-        study_tool.main(given)
+        study_tool.main(words)
     assert ended.value.code == 2
-    assert given[-1] in capsys.readouterr().err
+    assert words[-1] in capsys.readouterr().err
 
 
 # What is shown ------------------------------------------------------------------------------------------------
@@ -1475,15 +1475,15 @@ def test_reports_of_the_locator_are_as_expected():
 
 def test_the_locator_answers_a_press_with_the_samples_so_far():
     node = FaultLocator(samples=3)
-    x, given = node.first(), dict.fromkeys(("u_s", "i_s", "u_r", "i_r"), (1.0, 2.0, 3.0))
+    x, inputs = node.first(), dict.fromkeys(("u_s", "i_s", "u_r", "i_r"), (1.0, 2.0, 3.0))
     asked = []
     node._answer = lambda x: (asked.append(len(x.rows.newest())) or x, {"verdict": (len(asked),)})
     for t, locate in enumerate([None, (1.0,), (1.0,), (0.0,), (2.0,), None]):
-        x, outputs = node.update(x, t * 10**9, locate=locate, **given)
+        x, outputs = node.update(x, t * 10**9, locate=locate, **inputs)
         assert bool(outputs) == (t in (1, 4))
     assert asked == [2, 3]
     assert x.rows.newest()[0] == (3.0, *(1.0, 2.0, 3.0) * 4)
-    assert node.finish(x, 6 * 10**9, locate=None, **given)[1] == {"verdict": (3,)}
+    assert node.finish(x, 6 * 10**9, locate=None, **inputs)[1] == {"verdict": (3,)}
     whole = FaultLocator(form="record", samples=3)
     x, ages = whole.first(), iter((None, 0, 1))
     whole.age = lambda name: next(ages)
@@ -1561,10 +1561,10 @@ def test_a_record_of_the_plant_with_its_noise_and_a_new_one_at_a_press():
 LINE_GIVEN = ["--line", "paper"]
 
 
-def asked(monkeypatch, *arguments, found=None, error=None):
+def asked(monkeypatch, *arguments, result=None, error=None):
     """The effect of a command line: the status of the tool, and its calls."""
     called, record = {}, long_record(1200)
-    found = found or Location(Status.OK, 30.0, 1.0, 9.0, 1, 5, "fault at 30.0000 km")
+    result = result or Location(Status.OK, 30.0, 1.0, 9.0, 1, 5, "fault at 30.0000 km")
 
     def read(sources, channels, late):
         called["read"] = ([str(s) for s in sources], channels, late)
@@ -1577,7 +1577,7 @@ def asked(monkeypatch, *arguments, found=None, error=None):
     monkeypatch.setattr(locate_tool, "inception", lambda record, frequency: called.update(frequency=frequency) or 0.02)
     window = {"window_start": 0.021, "window_end": 0.03}
     monkeypatch.setattr(locate_tool, "windowed", lambda record, p: p.model_copy(update=window))
-    monkeypatch.setattr(locate_tool, "locate", lambda record, p: called.update(p=p) or found)
+    monkeypatch.setattr(locate_tool, "locate", lambda record, p: called.update(p=p) or result)
     confidence = Confidence(0.001, {}, 9.0)
     monkeypatch.setattr(
         locate_tool, "confidence", lambda record, p, of, budget: called.update(budget=budget) or confidence
@@ -1600,8 +1600,14 @@ def test_a_command_line_makes_the_expected_calls(monkeypatch, capsys):
     status, called = asked(monkeypatch, *more)
     assert called["read"] == (["s.cfg", "r.cfg"], ["a", "b", "c"], (pytest.approx(3e-6), pytest.approx(-5e-6)))
     assert called["bag"] == "there"
-    given = {"algorithm": "phasor", "frequency": 60.0, "line.length": 100.0, "window_start": 0.022, "window_end": 0.035}
-    assert called["p"] == build(LocatorParams, given)
+    parameters = {
+        "algorithm": "phasor",
+        "frequency": 60.0,
+        "line.length": 100.0,
+        "window_start": 0.022,
+        "window_end": 0.035,
+    }
+    assert called["p"] == build(LocatorParams, parameters)
     assert called["budget"] == ErrorBudget(ratio=0.02, sync_us=7.0)
     assert "frequency" not in called
     assert capsys.readouterr().out.splitlines()[-1] == "  window 0.022 to 0.035 s, as told"
@@ -1609,7 +1615,7 @@ def test_a_command_line_makes_the_expected_calls(monkeypatch, capsys):
 
 def test_the_tool_ends_with_the_expected_status(monkeypatch, capsys):
     lost = Location(Status.NO_FAULT, text="no_fault: nothing")
-    status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN, found=lost)
+    status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN, result=lost)
     assert (status, "budget" in called) == (1, False)
     assert capsys.readouterr().out.splitlines()[0] == "no_fault: nothing"
     status, _ = asked(monkeypatch, "a.cfg", *LINE_GIVEN, error=RecordError(Status.GAP, "gap at 2 s"))
@@ -1652,13 +1658,13 @@ def test_a_record_in_a_bag_as_streams_or_whole(tmp_path):
     recording = Recording([(port.topic, port.msgtype)])
     recording.add(0, 10**9, port.layout().encode(10**9, tuple(record.table().ravel())))
     write_bag(tmp_path / "whole", recording)
-    for given in ((0.0, 0.0), (50e-6, 50e-6)):
-        assert locate_tool.read([tmp_path / "whole"], (), given).samples.tolist() == record.samples.tolist()
+    for late_by in ((0.0, 0.0), (50e-6, 50e-6)):
+        assert locate_tool.read([tmp_path / "whole"], (), late_by).samples.tolist() == record.samples.tolist()
     assert locate_tool.read([tmp_path / "whole"], (), (0.0, 50e-6)).samples.tolist() == late.samples.tolist()
 
 
 @pytest.mark.parametrize(
-    ("text", "given", "wanted"),
+    ("text", "options", "wanted"),
     [
         (
             "length: 90\nr1: 0.03\nl1: 1e-3\nc1: 1e-8\n",
@@ -1677,9 +1683,9 @@ def test_a_record_in_a_bag_as_streams_or_whole(tmp_path):
         ),
     ],
 )
-def test_the_data_of_a_line_of_a_file_and_of_options(tmp_path, text, given, wanted):
+def test_the_data_of_a_line_of_a_file_and_of_options(tmp_path, text, options, wanted):
     (tmp_path / "line.yaml").write_text(text)
-    assert line_data(str(tmp_path / "line.yaml"), given) == wanted
+    assert line_data(str(tmp_path / "line.yaml"), options) == wanted
     paper = {"line.length": 120.0, "line.r1": 0.0275, "line.l1": 1.00268e-3, "line.c1": 1.3e-8}
     assert line_data("paper", {}) == paper
     assert line_data(None, wanted) == wanted

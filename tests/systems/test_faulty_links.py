@@ -65,7 +65,7 @@ def tapped(name, duration, kinds=KINDS):
     return rig_of(scenario, classes={f"tap_{kind}": Tap for kind in kinds}), scenario.faults
 
 
-def said(run, topic):
+def published(run, topic):
     """The messages of a topic: time, stamp and values of each."""
     layout, record = run.rig.topics[topic].layout(), run.recording.topics[topic]
     return [(t, *layout.decode(bytes(data))) for t, data in zip(record.times, record.data, strict=True)]
@@ -111,7 +111,7 @@ def test_each_kind_of_fault_changes_each_topic_as_documented(name):
         port = rig.topics[topic]
         # a plant also publishes its final state, which no node answers
         last = next(m.schedule.last for m in rig.members if m.name == fault)
-        sent, arrived = [m for m in said(run, topic) if m[0] <= last], said(run, f"{topic}/{fault}")
+        sent, arrived = [m for m in published(run, topic) if m[0] <= last], published(run, f"{topic}/{fault}")
         if port.delayed:  # such a link repeats its message until a newer one arrives
             sent = [m for k, m in enumerate(sent) if not k or m[1] > sent[k - 1][1]]
         at = f"{fault} on {topic}"
@@ -158,7 +158,7 @@ def trials(name):
 
 def numbers_said(run, topic):
     """All numbers published on a topic."""
-    return np.concatenate([np.empty(0), *(np.ravel(row) for _, _, row in said(run, topic))])
+    return np.concatenate([np.empty(0), *(np.ravel(row) for _, _, row in published(run, topic))])
 
 
 def suffered(name, duration, topic, kind):

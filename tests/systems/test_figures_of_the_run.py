@@ -140,14 +140,14 @@ def own_numbers(name):
     shared, nodes = what.get("shared") or {}, what["nodes"]
     for figure, entry in (what.get("figures") or {}).items():
         function = find(entry.get("function") or figure)
-        for argument, given in (entry.get("arguments") or {}).items():
-            value, names = followed(given, shared)
+        for argument, stated in (entry.get("arguments") or {}).items():
+            value, names = followed(stated, shared)
             if argument in getattr(function, "agreed", ()):
                 yield f"{name}: {figure}: {argument} is the rig's word"
             if isinstance(value, str):
                 continue
             if any(uses(nodes, n) for n in names):
-                yield f"{name}: {figure}: {argument} = {given} is given to nodes, too"
+                yield f"{name}: {figure}: {argument} = {stated} is given to nodes, too"
             if argument in NAMED or (argument in SIGNALS and value != 0.0):
                 yield f"{name}: {figure}: {argument} = {value}"
     for requirement, entry in (what.get("requirements") or {}).items():
@@ -174,8 +174,8 @@ def test_no_scenario_gives_a_figure_a_number_that_a_node_has():
 
 def window(signals, name, start=None, end=None):
     t, x = (np.asarray(a) for a in signals[name])
-    here = (t >= (-math.inf if start is None else start - 6e-10)) & (t <= (math.inf if end is None else end + 6e-10))
-    return t[here], x[here]
+    inside = (t >= (-math.inf if start is None else start - 6e-10)) & (t <= (math.inf if end is None else end + 6e-10))
+    return t[inside], x[inside]
 
 
 class Nodes:
@@ -350,13 +350,13 @@ def argument(value, nodes, shared):
     """Return an argument as the file has it, with references resolved independently."""
     value, _ = followed(value, shared)
 
-    def said(match):
+    def reported(match):
         node, _, rest = match[1].partition(".")
         head, _, number = rest.rpartition(".")
         return repr(nodes.all[node][rest] if rest in nodes.all[node] else nodes.all[node][head][int(number)])
 
     if isinstance(value, str) and value.startswith("$"):
-        return eval(re.sub(r"\$([\w.]+)", said, value))  # a reference, or arithmetic with some, by Python
+        return eval(re.sub(r"\$([\w.]+)", reported, value))  # a reference, or arithmetic with some, by Python
     return value
 
 
@@ -365,19 +365,19 @@ def expected(rig, name, signals, scenario):
     what, nodes = raw(scenario), Nodes(rig)
     entry = what["figures"][name]
     of = entry.get("function") or name
-    given = {k: argument(v, nodes, rig.scenario.shared) for k, v in (entry.get("arguments") or {}).items()}
-    given |= {k: v for k, v in rig.scenario.figures[name].arguments.items() if isinstance(v, str) and "/" in v}
+    arguments = {k: argument(v, nodes, rig.scenario.shared) for k, v in (entry.get("arguments") or {}).items()}
+    arguments |= {k: v for k, v in rig.scenario.figures[name].arguments.items() if isinstance(v, str) and "/" in v}
     if of in COMPUTED:
-        return float(COMPUTED[of](signals, nodes, given))
+        return float(COMPUTED[of](signals, nodes, arguments))
     if since := rig.scenario.figures[name].since:
         t, x = signals[since]
         step = max(k for k in range(len(t)) if k == 0 or x[k] != x[k - 1])
-        given["start"], end = t[step] + (given.get("start") or 0.0), given.get("end")
-        given |= {"end": t[step] + end} if end is not None else {}
-        given |= {"reference": x[step]} if given.get("reference") == since else {}
-        if "final" in inspect.signature(find(of)).parameters and given.get("final") is None:
-            given |= {"final": x[step], "initial": window(signals, given["signal"], None, t[step])[1][-1]}
-    return float(find(of)(signals, **given))
+        arguments["start"], end = t[step] + (arguments.get("start") or 0.0), arguments.get("end")
+        arguments |= {"end": t[step] + end} if end is not None else {}
+        arguments |= {"reference": x[step]} if arguments.get("reference") == since else {}
+        if "final" in inspect.signature(find(of)).parameters and arguments.get("final") is None:
+            arguments |= {"final": x[step], "initial": window(signals, arguments["signal"], None, t[step])[1][-1]}
+    return float(find(of)(signals, **arguments))
 
 
 def names_of_table(nodes):
@@ -556,8 +556,8 @@ def follows(scenario):
     for figure, entry in (raw(scenario).get("figures") or {}).items():
         agreed = getattr(find(entry.get("function") or figure), "agreed", {})
         asked = {k: speakers[quantity] for k, quantity in agreed.items() if quantity in speakers}
-        for k, given in (entry.get("arguments") or {}).items():
-            value, _ = followed(given, shared)
+        for k, stated in (entry.get("arguments") or {}).items():
+            value, _ = followed(stated, shared)
             if isinstance(value, str) and re.fullmatch(r"\$\w+\.[\w.]+", value):
                 asked[k] = {re.sub(r"\.\d+$", "", value[1:])}  # an element of a list: the list
         stuck = [k for k, names in asked.items() if (figure, k) not in moved and not names <= set(refused)]
@@ -595,8 +595,8 @@ def no_time_beside_a_node_s(scenario):
     rig = rig_of(scenario)
     times = list(times_of(rig))
     for figure, entry in (raw(scenario).get("figures") or {}).items():
-        for name, given in (entry.get("arguments") or {}).items():
-            value, _ = followed(given, raw(scenario).get("shared") or {})
+        for name, stated in (entry.get("arguments") or {}).items():
+            value, _ = followed(stated, raw(scenario).get("shared") or {})
             if name in ("start", "end", "at", "stay") and isinstance(value, int | float) and value:
                 near = {n for t, n in times if abs(t - value) <= 0.02 * value}
                 near -= {n for n in near if (rig.scenario.system, name, n) in BESIDE}

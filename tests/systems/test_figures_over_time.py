@@ -197,8 +197,8 @@ def sampled(case, at=lambda t: t, factor=1.0, shift=0.0):
 
 def measure(name, signals, shift=0.0, **changed):
     case = CASES[name]
-    given = {k: v + shift if k in TIMES else v for k, v in case.arguments.items()} | changed
-    return float(find(name)(signals, **given))
+    arguments = {k: v + shift if k in TIMES else v for k, v in case.arguments.items()} | changed
+    return float(find(name)(signals, **arguments))
 
 
 def jittered(t):

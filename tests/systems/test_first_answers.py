@@ -76,15 +76,15 @@ def answered(block, values, draw):
     rows = []
     for k in range(TICKS):
         t = time_of(k)
-        given = {}
+        messages = {}
         for port in inputs:
             row = tuple(_drawn(unit, k, draw) for unit in port.units)
-            given[port.name] = Sample(t, row) if port.delayed else row
+            messages[port.name] = Sample(t, row) if port.delayed else row
         if issubclass(block, Plant):
             answer = one.outputs(t)
-            one.advance(t, **given)
+            one.advance(t, **messages)
         else:
-            answer = one.update(t, **given)
+            answer = one.update(t, **messages)
         for port in outputs:
             if (row := answer.get(port.name)) is not None:
                 stamp, row = row if isinstance(row, Sample) else (t, row)

@@ -66,9 +66,9 @@ def page(fmus, tmp_path, monkeypatch):
     return tmp_path
 
 
-def motor(fmus, version=2, **given):
+def motor(fmus, version=2, **keywords):
     return ByHand(
-        FmuPlant(name="motor", **{"fmu": str(fmus / f"motor{version}.fmu"), "period": 0.001, **PORTS} | given)
+        FmuPlant(name="motor", **{"fmu": str(fmus / f"motor{version}.fmu"), "period": 0.001, **PORTS} | keywords)
     )
 
 
@@ -84,7 +84,7 @@ def trace(plant, ticks=300):
     return result
 
 
-def ours(ticks=300, **constants):
+def block_run(ticks=300, **constants):
     plant = ByHand(DcMotorPlant(period=0.001, **constants))
     result = []
     for k in range(ticks):
@@ -101,10 +101,10 @@ def distance(a, b):
 def test_a_motor_in_an_fmu_equals_ours(fmus, version):
     assert describe(str(fmus / f"motor{version}.fmu")).version == f"{version}.0"
     values = ("R = 0.5", "J = 0.0005")
-    expected = ours(R=0.5, J=0.0005)
+    expected = block_run(R=0.5, J=0.0005)
     stepped = trace(motor(fmus, version, values=values))
     assert distance(stepped, expected) < 1e-12
-    assert distance(expected, ours()) > 1e-3  # the values count
+    assert distance(expected, block_run()) > 1e-3  # the values count
     assert trace(motor(fmus, version, values=values, isolated=False)) == stepped
     # theta, w and i of the fourth order with h |A| = 0.1 h/ms: an error of 1e-11; half the step, a 16th
     coarse, fine = (
@@ -122,9 +122,9 @@ def test_a_ball_bounces_at_the_right_times(fmus, version):
     for k in range(1, 3):
         times.append(times[-1] + 2.0 * 0.7**k * first)
 
-    def counted(**given):
+    def counted(**keywords):
         file = str(fmus / f"ball{version}.fmu")
-        plant = ByHand(FmuPlant(fmu=file, outputs=BALL, period=0.01, isolated=False, **given))
+        plant = ByHand(FmuPlant(fmu=file, outputs=BALL, period=0.01, isolated=False, **keywords))
         rows = []
         for _ in range(math.ceil(times[-1] / 0.01) + 1):
             rows.append((*plant.outputs(0)["to_ball_state"], *plant.outputs(0)["to_ball_bounces"]))
@@ -177,7 +177,7 @@ def test_units_are_converted_if_both_sides_declare_them(fmus):
     for k in range(50):
         plant.advance(0, motor_command=voltage(k))
     (rpm,), (mNm,), (w,) = plant.outputs(0).values()
-    state = ours(51)[-1]
+    state = block_run(51)[-1]
     assert rpm == pytest.approx(w * 30.0 / math.pi, rel=1e-15)
     assert (mNm, w) == pytest.approx((1e3 * state[2], state[1]), rel=1e-9)
     volts = motor(fmus, inputs=("motor/command/armature/effort [mV] = voltage",))
@@ -233,7 +233,7 @@ def test_a_controller_answers_the_tick_with_its_inputs(fmus, version):
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("parameters", "says"),
     [
         ({"values": ("falt = 1",)}, r"motor2.fmu has no variable 'falt' \(did you mean 'fault'\?\); it has theta, w"),
         ({"values": ("R = much",)}, "R = 'much', expected a number"),
@@ -255,9 +255,9 @@ def test_a_controller_answers_the_tick_with_its_inputs(fmus, version):
         ({"fmu": ""}, "parameter fmu = '': expected the file of an FMU"),
     ],
 )
-def test_bad_input_is_reported_by_name(fmus, given, says):
+def test_bad_input_is_reported_by_name(fmus, parameters, says):
     with pytest.raises(ParameterError, match=says):
-        motor(fmus, **given)
+        motor(fmus, **parameters)
 
 
 def test_an_fmu_for_another_machine_or_without_the_interface_is_reported(tmp_path):
@@ -270,14 +270,14 @@ def test_an_fmu_for_another_machine_or_without_the_interface_is_reported(tmp_pat
         motor(tmp_path / "other", method="model_exchange")
 
 
-def strict(fmus, version=2, **given):
+def strict(fmus, version=2, **keywords):
     about = {
         "fmu": str(fmus / f"strict{version}.fmu"),
         "period": 0.25,
         "inputs": ("u/a/position = u", "n/a/position = n"),
         "outputs": ("y/a/position = y", "tol/a/position = tolerance", "pid/a/position = pid"),
     }
-    return ByHand(FmuPlant(name="strict", **about | given))
+    return ByHand(FmuPlant(name="strict", **about | keywords))
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -347,25 +347,25 @@ def test_an_fmu_that_is_not_isolated_can_close_the_terminal_but_the_status_is_ke
 def test_processes_started_by_an_fmu_end_with_it(fmus, ending, tmp_path):
     """Also where the node that runs it is killed."""
     context = multiprocessing.get_context("fork")
-    here, there = context.Pipe()
+    near_end, far_end = context.Pipe()
 
     def runs():
         plant = strict(fmus, values=("fault = 8",))
         plant.advance(0, u=(0.0,), n=(0.0,))
-        there.send(int(plant.outputs(0)["to_pid"][0]))
-        there.recv()
+        far_end.send(int(plant.outputs(0)["to_pid"][0]))
+        far_end.recv()
 
     node = context.Process(target=runs)
     with warnings.catch_warnings():  # the other threads are those of libraries that see to forks
         warnings.simplefilter("ignore", DeprecationWarning)
         node.start()
-    assert here.poll(PATIENCE)
-    pid = here.recv()
+    assert near_end.poll(PATIENCE)
+    pid = near_end.recv()
     assert Path(f"/proc/{pid}").exists()
     if ending == "kill":
         node.kill()
     else:
-        here.send(None)
+        near_end.send(None)
     node.join(PATIENCE)
     assert node.exitcode == (-signal.SIGKILL if ending == "kill" else 0)
     until(lambda: not Path(f"/proc/{pid}").exists(), "the end of what the FMU has started")
@@ -472,17 +472,17 @@ MIX = {
 
 @pytest.mark.parametrize("isolated", few([False, True], 1))
 def test_arrays_are_read_by_their_elements(fmus, isolated):
-    def mix(**given):
-        return ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), "isolated": isolated, **MIX} | given))
+    def mix(**keywords):
+        return ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), "isolated": isolated, **MIX} | keywords))
 
-    def said(law, a, c):
+    def commands(law, a, c):
         return law.update(0, mix_in=(a, c))["to_mix_out"]
 
-    assert said(mix(), 2.0, 3.0) == (1.0 * 2.0 + 3.0 * 3.0, 1e3 * (4.0 * 2.0 + 6.0 * 3.0))
+    assert commands(mix(), 2.0, 3.0) == (1.0 * 2.0 + 3.0 * 3.0, 1e3 * (4.0 * 2.0 + 6.0 * 3.0))
     law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))  # no node sends u[2], so it keeps its initial value
-    assert said(law, 2.0, 3.0) == (1 + 2.0 + 20.0 + 9.0, 1e3 * (1 + 8.0 + 50.0 + 180.0))
+    assert commands(law, 2.0, 3.0) == (1 + 2.0 + 20.0 + 9.0, 1e3 * (1 + 8.0 + 50.0 + 180.0))
     law.change(permit(FmuLaw, law.block.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
-    assert said(law, 2.0, 3.0)[0] == 5 + 2.0 + 20.0 + 9.0
+    assert commands(law, 2.0, 3.0)[0] == 5 + 2.0 + 20.0 + 9.0
     for values in (("gain[2,3] = 61", "u[2] = 10", "bias = 5"), ("bias = 5",)):
         with pytest.raises(ParameterError, match="values: that part of it may not change while running"):
             permit(FmuLaw, law.block.p, {"values": values})
@@ -499,13 +499,13 @@ def test_arrays_are_read_by_their_elements(fmus, isolated):
 def test_an_fmu_beside_its_scenario_is_found_from_any_directory(page, tmp_path_factory, monkeypatch):
     other = tmp_path_factory.mktemp("other")
     monkeypatch.chdir(other)
-    here = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
-    assert here["motor_plant"].params.fmu == str(page / "motor2.fmu")
+    near_end = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
+    assert near_end["motor_plant"].params.fmu == str(page / "motor2.fmu")
     (page / "child.yaml").write_text("extends: plant\ntitle: child\nduration: 0.02\n")
     assert not simulate(str(page / "child.yaml"), duration=0.01).error
     (other / "motor2.fmu").symlink_to(page / "motor3.fmu")  # of the current directory: as it is written
-    here = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
-    assert here["motor_plant"].params.unit.version == "3.0"
+    near_end = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
+    assert near_end["motor_plant"].params.unit.version == "3.0"
     (other / "motor2.fmu").unlink()
     (page / "motor2.fmu").unlink()
     with pytest.raises(ScenarioError, match=r"no FMU 'motor2.fmu'; looked for motor2.fmu"):
@@ -605,6 +605,6 @@ def test_an_fmu_logs_only_if_the_scenario_says_so(fmus, monkeypatch):
         return made(*arguments, debug_logging=debug_logging, **more)
 
     monkeypatch.setattr(simulation, "instantiate_fmu", instantiated)
-    for given in ({}, {"log": True}):
-        trace(motor(fmus, isolated=False, **given), 1)
+    for options in ({}, {"log": True}):
+        trace(motor(fmus, isolated=False, **options), 1)
     assert asked == [False, True]

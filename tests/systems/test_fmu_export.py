@@ -122,23 +122,23 @@ def through_fmus(scenario, nodes, folder):
     rig = rig_of(scenario)
     entries = {}
     for member in (m for m in rig.members if m.name in nodes):
-        given = {
+        parameters = {
             "period": member.params.period,
             "fmu": str(export(rig, member.name, folder)),
             "vectors": [],
             "trajectories": [],
         }
         for side, ports in (("inputs", member.inputs), ("outputs", member.outputs)):
-            given[side] = []
+            parameters[side] = []
             for port in ports:
                 vector = port.msgtype.endswith("Vector3Stamped")
-                given["vectors"] += [f"{port.topic} = {port.frame_id}"] if vector else []
-                given["trajectories"] += [port.topic] if port.msgtype.endswith("JointTrajectory") else []
-                given[side] += [
+                parameters["vectors"] += [f"{port.topic} = {port.frame_id}"] if vector else []
+                parameters["trajectories"] += [port.topic] if port.msgtype.endswith("JointTrajectory") else []
+                parameters[side] += [
                     f"{port.topic}/{label}{'/vector' * vector} = {variable(port.topic, label)}" for label in port.labels
                 ]
         executable = "fmu_plant" if member.is_plant else "fmu_law"
-        entries[member.name] = {"package": "softrig_control", "executable": executable, "parameters": given}
+        entries[member.name] = {"package": "softrig_control", "executable": executable, "parameters": parameters}
     raw = scenario.model_dump(mode="json", exclude_unset=True)
     for name, entry in entries.items():
         raw["nodes"][name] = {k: v for k, v in raw["nodes"][name].items() if k not in ("parameters", "remap")} | entry
@@ -169,10 +169,15 @@ def test_a_rig_with_exports_in_it_has_the_same_numbers(name, nodes, overrides, t
     assert moved > 2
 
 
-def motor(exported, **given):
+def motor(exported, **keywords):
     inputs, outputs = ("u/a/effort = motor.command.armature.effort",), (f"y/shaft/velocity = {SHAFT}",)
-    given = {"fmu": str(exported / "dc_motor_plant.fmu"), "period": 1e-4, "inputs": inputs, "outputs": outputs} | given
-    return ByHand(FmuPlant(name="motor", log=True, **given))
+    keywords = {
+        "fmu": str(exported / "dc_motor_plant.fmu"),
+        "period": 1e-4,
+        "inputs": inputs,
+        "outputs": outputs,
+    } | keywords
+    return ByHand(FmuPlant(name="motor", log=True, **keywords))
 
 
 @pytest.mark.long
@@ -183,20 +188,20 @@ def test_unconnected_inputs_begin_as_in_the_scenario(tmp_path):
     names = ["dc_link/voltage/position", "dc_link/current/position"]
     measured = list(zip(*(run.signals[n].x.tolist() for n in names), strict=True))
     export(rig, "gpc_controller", tmp_path)
-    given = {
+    parameters = {
         "fmu": str(tmp_path / "gpc_controller.fmu"),
         "period": rig.clock.params.period,
         "outputs": ("u/v/effort = v_drop.command.v_drop.effort",),
     }
     inputs = tuple(f"y/{name.split('/')[1]}/position = {name.replace('/', '.')}" for name in names)
-    law = ByHand(FmuLaw(name="law", inputs=inputs, **given))
+    law = ByHand(FmuLaw(name="law", inputs=inputs, **parameters))
     results = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]
     assert results == commands  # no node sends the reference, so the controller uses its own set point
-    assert ByHand(FmuLaw(name="law", **given)).update(0)["to_u"] == (commands[0],)
-    start = {v.name: v.start for v in fmpy.read_model_description(given["fmu"]).modelVariables}
+    assert ByHand(FmuLaw(name="law", **parameters)).update(0)["to_u"] == (commands[0],)
+    start = {v.name: v.start for v in fmpy.read_model_description(parameters["fmu"]).modelVariables}
     assert float(start["reference.v_dc.position"]) == float(start["dc_link.voltage.position"]) == 400.0
     values = ("reference.v_dc.position = 300",)
-    set_to = ByHand(FmuLaw(name="law", values=values, inputs=inputs, **given))
+    set_to = ByHand(FmuLaw(name="law", values=values, inputs=inputs, **parameters))
     assert set_to.update(0, y=measured[0])["to_u"] != (commands[0],)
 
 

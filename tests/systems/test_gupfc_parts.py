@@ -480,7 +480,7 @@ def test_conduction_is_computed_and_impossible_devices_are_refused():
     assert conduction(0.3, 1.0, 0.25) == conduction(0.25, 1.0, 0.25) == math.pi
     assert DeviceParams().step == pytest.approx(PERIOD / 16.0)
     assert (DeviceParams().pulse, DeviceParams(waveform="pulse").pulse) == (0, 1)
-    for given, text in [
+    for parameters, text in [
         ({"waveform": "pulse", "period": 1e-4}, "waveform = pulse: a cycle has 166.667 control periods, expected 48"),
         ({"initial.p1": 8.0}, "initial: the power flow has no solution for these references, mismatch "),
         ({"initial.p1": 0.0}, "initial: these references need V12 = 0.4976 pu, the limit is 0.2425 pu"),
@@ -488,7 +488,7 @@ def test_conduction_is_computed_and_impossible_devices_are_refused():
         ({"substeps": 1}, "expected at least 4, which is "),
     ]:
         with pytest.raises(ParameterError) as refused:
-            build(DeviceParams, given)
+            build(DeviceParams, parameters)
         assert text in str(refused.value)
 
 
@@ -727,7 +727,7 @@ def test_the_node_answers_new_requests():
             return one if references.p1 < 5.0 else Diverged(7, 0.1234)
 
     node._solver = Solver()
-    x, given = node.first(), {"request": None, "series_1": None, "series_2": None, "shunt": None}
+    x, inputs = node.first(), {"request": None, "series_1": None, "series_2": None, "shunt": None}
     for change, answers in [
         ({}, 3),
         ({}, 0),
@@ -742,8 +742,8 @@ def test_the_node_answers_new_requests():
         ({"shunt": (1.02,), "series_1": (9.0, 0.0)}, 1),
         ({"request": (0.0,)}, 0),
     ]:
-        given |= change
-        x, outputs = node.update(x, 0, **given)
+        inputs |= change
+        x, outputs = node.update(x, 0, **inputs)
         assert len(outputs) == answers
     assert asked == [(1.0, -0.3, 1.0, -0.4, 1.0)] * 3 + [
         (1.1, -0.2, 1.0, -0.4, 1.0),

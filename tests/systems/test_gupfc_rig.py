@@ -306,7 +306,7 @@ def test_power_flow_against_pandapower():
     S = np.zeros(len(at), dtype=complex)
     S[1] = flow.s_sh - flow.bus["1"] * norton[1]
     S[2], S[3], S[4] = flow.bus["2"] * norton[1], -flow.bus["3"] * norton[3], flow.bus["4"] * norton[3]
-    ours = np.array([*(flow.bus[name] for name in BUSES), *NETWORK.sources])
+    start = np.array([*(flow.bus[name] for name in BUSES), *NETWORK.sources])
     none = {
         name: np.zeros((0, max(v for k, v in vars(index).items() if k.endswith("_cols"))))
         for name, index in (
@@ -330,12 +330,12 @@ def test_power_flow_against_pandapower():
     )
     options |= {"tolerance_mva": 1e-8, "max_iteration": 30, "algorithm": "nr", "permc_spec": None}
     pq, slack = np.arange(6), np.array([6, 7])
-    V, converged, iterations, *_ = newtonpf(Y, S, ours.copy(), slack, np.array([], dtype=int), pq, case, options)
+    V, converged, iterations, *_ = newtonpf(Y, S, start.copy(), slack, np.array([], dtype=int), pq, case, options)
     assert converged
     assert iterations == 0
-    assert pytest.approx(ours, abs=1e-9) == V
+    assert pytest.approx(start, abs=1e-9) == V
     # from a flat start constant injections lead to the other root
-    flat = np.concatenate([np.ones(6, dtype=complex), ours[6:]])
+    flat = np.concatenate([np.ones(6, dtype=complex), start[6:]])
     V, converged, *_ = newtonpf(Y, S, flat, slack, np.array([], dtype=int), pq, case, options)
     assert converged
     assert abs(V[at["1"]]) == pytest.approx(1.0199, abs=1e-3)
@@ -444,9 +444,9 @@ def test_trip_of_the_dc_link(high):
     """v_dc outside 0.5 to 1.3 pu: shunt converter disconnected, series converters bypassed, all finite."""
     plant = ByHand(GupfcPlant(network={"dc_time": 1e-3}))
     for k in range(200):
-        given = commands(plant, k)
-        sigma, angle, omega = given["shunt"]
-        plant.advance(0, **given | {"shunt": (sigma, angle + (-0.5 if high else 0.5), omega)})
+        inputs = commands(plant, k)
+        sigma, angle, omega = inputs["shunt"]
+        plant.advance(0, **inputs | {"shunt": (sigma, angle + (-0.5 if high else 0.5), omega)})
         if plant.x.tripped:
             break
     assert plant.x.tripped
@@ -692,14 +692,14 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
     point = operating_point(DeviceParams())
     theta = cmath.phase(point.u4)
     parts = {"u": point.u4, "i": point.i34, "v": point.v34}
-    given = {"theta": theta} | {k: [(x := z * cmath.rect(1.0, -theta)).real, x.imag] for k, z in parts.items()}
+    start = {"theta": theta} | {k: [(x := z * cmath.rect(1.0, -theta)).real, x.imag] for k, z in parts.items()}
     quick = {
         "references_1.period": 0.05,  # more than one tick in 0.1 s
         "references_2.period": 0.05,
         "references_2.times": [0.0, 0.05],
         "references_2.values": [1.0, -0.4, 0.9, -0.4],
     }
-    ours = simulate("gupfc", duration=0.1, overrides=quick)
+    reference = simulate("gupfc", duration=0.1, overrides=quick)
     scenario = load_scenario("gupfc", quick)
     nodes = scenario.nodes | {
         "series_controller_2": scenario.nodes["series_controller_2"].model_copy(update={"external": True})
@@ -714,7 +714,7 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
             if "series_2/command" not in text:  # a later text reports that the node has joined
                 return
             variables = environment(domain, tmp_path)
-            outside.append(subprocess.Popen([sys.executable, str(script), json.dumps(given)], env=variables))
+            outside.append(subprocess.Popen([sys.executable, str(script), json.dumps(start)], env=variables))
 
         try:
             outcome = run_processes(wired, 0, tmp_path, Placement(domain=domain), Listener(announce=announce))
@@ -725,9 +725,9 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
     assert outcome.error == ""
     signals = Signals(outcome.recording)
     for name in STATUS:
-        expected = status(ours, name)
+        expected = status(reference, name)
         assert signals[f"gupfc/status/{name}/position"].x == pytest.approx(expected, abs=1e-6)
-    assert np.ptp(status(ours, "p2")) > 0.08
+    assert np.ptp(status(reference, "p2")) > 0.08
 
 
 def test_two_runs_in_process_are_equal():
@@ -740,11 +740,11 @@ def test_the_network_equals_that_of_the_power_flow():
     """The discrete steady state is the exact one to 2e-4 pu in every flow."""
     flow = PowerFlow(NETWORK, converter_loss=True).solve(References())
     point = operating_point(DeviceParams())
-    for mine, exact in (
+    for stepped, exact in (
         (point.v_sh, flow.v_sh),
         (point.v12, flow.v12),
         (point.v34, flow.v34),
         (point.u2, flow.bus["2"]),
     ):
-        assert abs(mine - exact) < 2e-4
+        assert abs(stepped - exact) < 2e-4
     assert np.abs(Network(NETWORK).admittance).max() > 0.0

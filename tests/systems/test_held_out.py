@@ -28,8 +28,8 @@ LOADED = 0.25  # s from the load step to the end of the drives' runs
 
 def run(name, nodes, **more):
     """Run a scenario with parameters by node; its requirements must hold."""
-    given = {f"{node}.{key}": value for node, values in nodes.items() for key, value in values.items()} | more
-    result = simulate(name, overrides=given)
+    overrides = {f"{node}.{key}": value for node, values in nodes.items() for key, value in values.items()} | more
+    result = simulate(name, overrides=overrides)
     assert [(r.name, r.value, r.error) for r in result.missed] == []
     return result
 
@@ -178,10 +178,10 @@ def test_a_random_line_carries_the_current_of_its_phasors_and_its_waves_arrive_i
     line = dict(zip(names, values, strict=True))
     R, X = chance.uniform((0.1, 2.0), (3.0, 40.0))
     x, closing = line["length"] * chance.uniform(0.1, 0.9), 1500
-    given = {f"line.{key}": value for key, value in line.items()} | {
+    overrides = {f"line.{key}": value for key, value in line.items()} | {
         "source.voltage": voltage, "source.frequency": frequency, "source.angle_r": angle, "source.r1": R,
         "source.x1": X, "fault.x_km": x, "fault.t_on": closing * 1e-6, "measurement.profile": "raw1m"}  # fmt: skip
-    faulted, sound = (FaultedLine(build(RigParams, given | {"fault.type": kind})) for kind in ("AG", "none"))
+    faulted, sound = (FaultedLine(build(RigParams, overrides | {"fault.type": kind})) for kind in ("AG", "none"))
     Y = distributed(line["r1"], line["l1"], line["c1"], line["length"], 2.0 * np.pi * frequency)
     E = voltage / np.sqrt(3.0) * np.exp([0.0, 1j * angle])
     U = np.linalg.solve(Y + np.eye(2) / complex(R, X), E / complex(R, X))

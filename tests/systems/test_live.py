@@ -177,13 +177,13 @@ def test_many_simultaneous_changes_give_the_same_bytes_in_every_placement(name):
     scenario = rig.scenario
     changed = type(scenario).model_validate({**dict(scenario), "changes": [{"at": TIMES[name][1], "set": entries}]})
     changed = rig_of(changed)
-    here = in_process(changed, scenario.seed)
-    assert differences(recording, here), "nothing of what was changed has an effect"
+    changed_run = in_process(changed, scenario.seed)
+    assert differences(recording, changed_run), "nothing of what was changed has an effect"
     names = [m.name for m in rig.members]
     for groups in ((), [names]):
         run = SimulatedRig(changed, World(), "lockstep", seed=scenario.seed, groups=groups)
         assert set(run.run().values()) == {"done"}
-        assert not differences(here, run.recording), groups
+        assert not differences(changed_run, run.recording), groups
 
 
 BUMPLESS = [  # scenario, member, what changes, overrides

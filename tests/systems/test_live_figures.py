@@ -111,11 +111,11 @@ def test_one_run_of_each_kind_measures_the_same(name, monkeypatch):
         pytest.skip("it has a node from outside")
     most = max(20 * rig.clock.params.period, *(5 * m.schedule.clock * m.schedule.every for m in rig.members))
     duration = float(max(min(rig.scenario.duration, most), rig.clock.params.period))
-    whole = told(lambda: simulate(name, duration=duration).results)
-    assert told(lambda: of_a_study(name, duration)[0]) == whole
+    whole = text_of(lambda: simulate(name, duration=duration).results)
+    assert text_of(lambda: of_a_study(name, duration)[0]) == whole
 
 
-def told(results):
+def text_of(results):
     """Return the result: a planner with such a short horizon may break, in both runs in the same way."""
     try:
         return repr(results())

@@ -113,22 +113,22 @@ def test_the_speed_controllers_equal_their_formulas():
     reached = set()
     for k in range(200):
         v, wanted, a = draw.uniform(-0.4, 0.4), draw.uniform(-0.4, 0.4), draw.uniform(-2.0, 2.0)
-        given = {"joint_states": (v,), "reference": (9.9, wanted, a)}
+        inputs = {"joint_states": (v,), "reference": (9.9, wanted, a)}
         u = 20.0 * (wanted - v) + integral
         if abs(u) <= 9.0 or u * (wanted - v) <= 0.0:
             integral += 50.0 * 0.01 * (wanted - v)
-        assert pi.update(k, **given) == {"force_cmd": near((min(max(u, -9.0), 9.0),))}
+        assert pi.update(k, **inputs) == {"force_cmd": near((min(max(u, -9.0), 9.0),))}
         off = v - wanted
         phi = (a - k_ * off, v, 1.0)
         ends = zip((20.0, 30.0, 300.0), phi, (2.5, 0.0, -4.0), (3.5, 2.0, 4.0), strict=True)
         theta = [min(max(th - g * p * off * 0.01, lo), hi) for th, (g, p, lo, hi) in zip(theta, ends, strict=True)]
         reached |= {n for n, th in enumerate((*theta, *theta)) if th in (2.5, 0.0, -4.0, 3.5, 2.0, 4.0)}
         F = sum(th * p for th, p in zip(theta, phi, strict=True))
-        assert mrac.update(k, **given) == {"force_cmd": near((min(max(F, -30.0), 30.0),)), "theta": near(tuple(theta))}
+        assert mrac.update(k, **inputs) == {"force_cmd": near((min(max(F, -30.0), 30.0),)), "theta": near(tuple(theta))}
         e = wanted - v
         force = min(max(force + 8.0 * (e / 4.0 + (e - last) / 6.0), -5.0), 5.0)
         last = e
-        assert fuzzy.update(k, **given) == {"force_cmd": near((force,))}
+        assert fuzzy.update(k, **inputs) == {"force_cmd": near((force,))}
     assert {0, 1, 2} <= reached
 
 

@@ -360,11 +360,11 @@ def simpful_surface(peaks, conjunction):
 @pytest.mark.parametrize("conjunction", ["product", "min"])
 @pytest.mark.parametrize("peaks", [THIRDS, (-1.0, -0.5, -0.2, 0.0, 0.25, 0.6, 1.0)])
 def test_surface_agrees_with_an_independent_library(peaks, conjunction):
-    ours = LsrmFuzzy(peaks=peaks, conjunction=conjunction)._surface
-    theirs = simpful_surface(list(peaks), conjunction)
+    surface = LsrmFuzzy(peaks=peaks, conjunction=conjunction)._surface
+    simpful = simpful_surface(list(peaks), conjunction)
     rng = np.random.default_rng(1)
     for x, y in [*rng.uniform(-1.0, 1.0, (12, 2)).tolist(), (0.25, -0.4)]:
-        assert ours(x, y) == pytest.approx(theirs(x, y), abs=1e-9)
+        assert surface(x, y) == pytest.approx(simpful(x, y), abs=1e-9)
     assert (LsrmFuzzy(conjunction="min")._surface(0.25, -0.4)) == pytest.approx(-0.202, abs=5e-4)
 
 

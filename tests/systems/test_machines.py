@@ -152,12 +152,12 @@ def test_power_in_is_power_out():
         return np.sum((power[:-2:2] + 4.0 * power[1:-1:2] + power[2::2]) * p.period / 3.0)
 
     source = (p.U_dc - u) / p.R_dc
-    given = total(p.U_dc * source)
+    power_in = total(p.U_dc * source)
     lost = total(p.R_dc * source**2) + total(1.5 * p.R_s * (i_d**2 + i_q**2)) + total(p.B * w * w)
     stored = 0.5 * p.C_dc * (u[-1] ** 2 - u[0] ** 2) + 0.5 * p.J * w[-1] ** 2
     stored += 0.75 * (p.L_d * i_d[-1] ** 2 + p.L_q * i_q[-1] ** 2)
-    assert given == pytest.approx(lost + stored + total(4.0 * w), rel=2e-3)
-    assert given > 1.0
+    assert power_in == pytest.approx(lost + stored + total(4.0 * w), rel=2e-3)
+    assert power_in > 1.0
 
 
 def test_flux_tables_of_constant_inductances_equal_the_constants():

@@ -33,10 +33,12 @@ def sets(node, of):
     for name in sorted(list_scenarios(), key=len):
         parameters = load_scenario(name).nodes.get(node)
         if parameters is not None:
-            given = {k: v for k, v in parameters.parameters.items() if k in of.model_fields and "table" not in k}
-            given["U_dc"] = parameters.parameters.get("U_dc", 540.0)
-            if given not in results.values():
-                results[name] = given
+            parameters_of_plant = {
+                k: v for k, v in parameters.parameters.items() if k in of.model_fields and "table" not in k
+            }
+            parameters_of_plant["U_dc"] = parameters.parameters.get("U_dc", 540.0)
+            if parameters_of_plant not in results.values():
+                results[name] = parameters_of_plant
     return results
 
 
@@ -60,19 +62,27 @@ def test_a_current_step_is_followed_at_any_bandwidth_and_speed(name, seed):
     period.
     """
     draw = np.random.default_rng([seed, 1])
-    given = SYNCHRONOUS[name]
-    m = SynchronousConstants(**{k: v for k, v in given.items() if k != "U_dc"})
+    drawn_machine = SYNCHRONOUS[name]
+    m = SynchronousConstants(**{k: v for k, v in drawn_machine.items() if k != "U_dc"})
     axis = int(draw.integers(2))
-    w = draw.uniform(-0.4, 0.4) * given["U_dc"] / 3**0.5 / max(m.psi_f, 0.1 * given["U_dc"] / 500.0) / m.pole_pairs
+    w = (
+        draw.uniform(-0.4, 0.4)
+        * drawn_machine["U_dc"]
+        / 3**0.5
+        / max(m.psi_f, 0.1 * drawn_machine["U_dc"] / 500.0)
+        / m.pole_pairs
+    )
     slow = max(m.R_s / min(m.L_d, m.L_q), m.pole_pairs * abs(w))
     alpha = slow * 10.0 ** draw.uniform(-0.3, 1.0)
     rate = max(alpha, slow)
     period = 0.01 / rate
-    step = 0.3 * given["U_dc"] / 3**0.5 / (rate * max(m.L_d, m.L_q))
+    step = 0.3 * drawn_machine["U_dc"] / 3**0.5 / (rate * max(m.L_d, m.L_q))
     ref = (step, 0.0, 0.0) if axis == 0 else (0.0, step, 0.0)
-    remaining = {k: v for k, v in given.items() if k != "U_dc"}
+    remaining = {k: v for k, v in drawn_machine.items() if k != "U_dc"}
     machine = ByHand(
-        PmsmPlant(PmsmPlantParams(**given, period=period, delay=0, J=1e6, w_0=w, trip_current=1e5, trip_voltage=1e4))
+        PmsmPlant(
+            PmsmPlantParams(**drawn_machine, period=period, delay=0, J=1e6, w_0=w, trip_current=1e5, trip_voltage=1e4)
+        )
     )
     law = ByHand(
         FocController(
@@ -87,7 +97,7 @@ def test_a_current_step_is_followed_at_any_bandwidth_and_speed(name, seed):
         seen = machine.outputs(at)
         shaft = seen["joint_states"][:2]
         outputs = law.update(
-            at, currents=seen["currents"], joint_states=shaft, dc_link=(given["U_dc"],), current_ref=ref
+            at, currents=seen["currents"], joint_states=shaft, dc_link=(drawn_machine["U_dc"],), current_ref=ref
         )
         machine.advance(at, duty=outputs["duty"], load_torque=None)
     wanted = np.zeros((len(times), 2))
@@ -107,9 +117,9 @@ def test_currents_of_a_fast_machine_are_exponentials_whatever_the_substeps(pairs
     """Exact solution at constant speed: L i' = u - R i - j w psi exp(j w t), u held for each period."""
     omega, U = rpm * math.pi / 30.0, 24.0
     w = pairs * omega
-    given = {"R_s": R, "L_d": L, "L_q": L, "psi_f": psi, "pole_pairs": pairs, "U_dc": U, "trip_current": 1e6}
+    machine = {"R_s": R, "L_d": L, "L_q": L, "psi_f": psi, "pole_pairs": pairs, "U_dc": U, "trip_current": 1e6}
     block = ByHand(
-        PmsmPlant(PmsmPlantParams(**given, period=period, substeps=1, w_0=omega, J=1e6, delay=0, trip_voltage=1e4))
+        PmsmPlant(PmsmPlantParams(**machine, period=period, substeps=1, w_0=omega, J=1e6, delay=0, trip_voltage=1e4))
     )
     emf = -1j * w * psi / L / (1j * w + R / L)
     i, errors, largest = 0j, [], 0.0
@@ -129,19 +139,21 @@ def test_currents_of_a_fast_machine_are_exponentials_whatever_the_substeps(pairs
 def test_a_torque_step_of_an_induction_machine_too(name, seed):
     """At constant flux the torque is that of i_q, which follows as 1 - exp(-alpha t)."""
     draw = np.random.default_rng([seed, 2])
-    given = INDUCTION[name]
-    remaining = {k: v for k, v in given.items() if k != "U_dc"}
+    drawn_machine = INDUCTION[name]
+    remaining = {k: v for k, v in drawn_machine.items() if k != "U_dc"}
     m = InductionConstants(**remaining)
-    flux = 0.0016 * given["U_dc"] * draw.uniform(0.5, 1.0)
-    w = draw.uniform(-0.3, 0.3) * given["U_dc"] / 3**0.5 / flux / m.pole_pairs
+    flux = 0.0016 * drawn_machine["U_dc"] * draw.uniform(0.5, 1.0)
+    w = draw.uniform(-0.3, 0.3) * drawn_machine["U_dc"] / 3**0.5 / flux / m.pole_pairs
     slow = max((m.R_s + m.R_R) / m.L_sigma, m.pole_pairs * abs(w))
     alpha = slow * 10.0 ** draw.uniform(-0.3, 0.7)
     period = 0.01 / max(alpha, slow)
     i_d, k = flux / m.L_M, 1.5 * m.pole_pairs
-    i_q = min(i_d, 0.3 * given["U_dc"] / 3**0.5 / (alpha * m.L_sigma))
+    i_q = min(i_d, 0.3 * drawn_machine["U_dc"] / 3**0.5 / (alpha * m.L_sigma))
     machine = ByHand(
         InductionPlant(
-            InductionPlantParams(**given, period=period, delay=0, J=1e6, w_0=w, trip_current=1e5, trip_voltage=1e4)
+            InductionPlantParams(
+                **drawn_machine, period=period, delay=0, J=1e6, w_0=w, trip_current=1e5, trip_voltage=1e4
+            )
         )
     )
     machine.x = machine.x._replace(psi_R_alpha=flux, psi_s_alpha=flux + m.L_sigma * i_d)
@@ -160,7 +172,7 @@ def test_a_torque_step_of_an_induction_machine_too(name, seed):
         seen = machine.outputs(at)
         rows.append((seen["joint_states"][2], math.hypot(machine.x.psi_R_alpha, machine.x.psi_R_beta)))
         outputs = law.update(
-            at, currents=seen["currents"], joint_states=seen["joint_states"][:2], dc_link=(given["U_dc"],),
+            at, currents=seen["currents"], joint_states=seen["joint_states"][:2], dc_link=(drawn_machine["U_dc"],),
             torque_ref=(k * flux * i_q,),
         )  # fmt: skip
         machine.advance(at, duty=outputs["duty"], load_torque=None)
@@ -178,12 +190,12 @@ def test_power_in_is_power_out_of_each_machine(name, seed):
     """Source = losses + capacitor + field + motion over periods of drawn voltages, by Simpson's rule."""
     draw = np.random.default_rng([seed, 3])
     synchronous = name in SYNCHRONOUS
-    given = (SYNCHRONOUS if synchronous else INDUCTION)[name]
+    machine = (SYNCHRONOUS if synchronous else INDUCTION)[name]
     plant, params = (PmsmPlant, PmsmPlantParams) if synchronous else (InductionPlant, InductionPlantParams)
-    U, R = given["U_dc"], given.get("R_s", 3.6 if synchronous else 3.7)
+    U, R = machine["U_dc"], machine.get("R_s", 3.6 if synchronous else 3.7)
     R_dc, B, load = 0.02 * R, 1e-4, draw.uniform(0.0, 1e-3) * U / 540.0
     period = 1e-5
-    p = params(**given, C_dc=1e-2 / R, R_dc=R_dc, delay=0, B=B, period=period, trip_current=1e5, trip_voltage=1e4,
+    p = params(**machine, C_dc=1e-2 / R, R_dc=R_dc, delay=0, B=B, period=period, trip_current=1e5, trip_voltage=1e4,
                load_torques=(load,), J=load + 1e-3)  # fmt: skip
     block = ByHand(plant(p))
     size, speed, turn, rows = draw.uniform(0.02, 0.1), draw.uniform(0.001, 0.01), draw.uniform(0.0, 6.0), []
@@ -310,15 +322,15 @@ def test_conduction_is_discontinuous_beyond_k_crit(topology, seed):
 def test_six_step_commutation_carries_load_and_losses(name, seed):
     """With two phases on their flat tops T = 2 k_e i; the electrical input is heat, field and motion."""
     draw = np.random.default_rng([seed, 8])
-    given = {k: v for k, v in BRUSHLESS[name].items() if k not in ("load_times", "load_torques", "B")}
-    given |= {"U_dc": load_scenario(name).nodes["bldc_plant"].parameters.get("U_dc", 24.0), "trip_current": 1e4}
-    every, period, p = 10, 5e-6, BldcPlantParams(**given)
+    machine = {k: v for k, v in BRUSHLESS[name].items() if k not in ("load_times", "load_torques", "B")}
+    machine |= {"U_dc": load_scenario(name).nodes["bldc_plant"].parameters.get("U_dc", 24.0), "trip_current": 1e4}
+    every, period, p = 10, 5e-6, BldcPlantParams(**machine)
     i_load = draw.uniform(0.05, 0.12) * p.U_dc / (2.0 * p.R)
     # The sectors are seen once in a period of the law.
     speed = min(draw.uniform(0.15, 0.35) * p.U_dc / (2.0 * p.k_e), 0.1 / (p.pole_pairs * every * period))
     load, J = 2.0 * p.k_e * i_load, 20.0 * p.J
     block = ByHand(
-        BldcPlant(BldcPlantParams(**given | {"J": J, "period": period, "substeps": 2, "load_torques": (load,)}))
+        BldcPlant(BldcPlantParams(**machine | {"J": J, "period": period, "substeps": 2, "load_torques": (load,)}))
     )
     block.x = block.x._replace(omega=speed)
     hall = ByHand(ShaftSensor(ShaftSensorParams(kind="hall", pole_pairs=p.pole_pairs, period=every * period)))

@@ -208,9 +208,9 @@ def test_each_sector_drives_the_flat_tops():
         gates = result["gates"]
         assert gates[upper] > 0.0 == gates[lower]
         assert gates[3 - upper - lower] == -1.0
-    held = ByHand(law)
-    held.update(0, currents=(0.0,) * 3, hall=(1.0,) * 3, joint_states=(0.0, 0.0), dc_link=(24.0,), speed_ref=None)
-    assert "hall" in held.reports
+    node = ByHand(law)
+    node.update(0, currents=(0.0,) * 3, hall=(1.0,) * 3, joint_states=(0.0, 0.0), dc_link=(24.0,), speed_ref=None)
+    assert "hall" in node.reports
 
 
 @pytest.mark.parametrize("name", ["bldc_six_step", pytest.param("bldc_six_step_1kw", marks=pytest.mark.long)])
@@ -279,8 +279,10 @@ def test_a_machine_published_as_a_t_circuit_is_reproduced(name, circuit, w):
 
 def test_a_reluctance_machine_published_by_its_reactances():
     """The torque of its two reactances over the load angle, as in textbooks; enough for its example's load."""
-    given = load_scenario("pmsm_foc_synrm_msl").nodes["pmsm_plant"].parameters
-    m = SynchronousConstants(**{k: v for k, v in given.items() if k in SynchronousConstants.model_fields}).numbers(0.0)
+    parameters = load_scenario("pmsm_foc_synrm_msl").nodes["pmsm_plant"].parameters
+    m = SynchronousConstants(**{k: v for k, v in parameters.items() if k in SynchronousConstants.model_fields}).numbers(
+        0.0
+    )
     U, w, X_d, X_q = 100.0 * 2.0**0.5, 100.0 * math.pi, 3.0, 1.0
     pull_out = 1.5 * U * U * (1.0 / X_q - 1.0 / X_d) / 2.0 / (w / 2.0)
     for delta in (0.1, 0.7, math.pi / 4.0, 1.2):
@@ -320,8 +322,8 @@ def test_the_machine_has_the_values_of_its_data_sheet():
 
 def test_assumptions_are_consistent_with_the_rated_point():
     """Rated current makes the rated torque, at the rated voltage and speed; the losses are the stated share."""
-    given = {"speed": 1500.0, "current": 4.3, "pole_pairs": 3, "power": 2200.0, "voltage": 370.0}
-    p = pmsm(given).plant
+    rated = {"speed": 1500.0, "current": 4.3, "pole_pairs": 3, "power": 2200.0, "voltage": 370.0}
+    p = pmsm(rated).plant
     peak, w = 4.3 * math.sqrt(2.0), 1500 * math.pi / 30
     assert 1.5 * 3 * p["psi_f"] * peak * w == pytest.approx(2200.0, rel=1e-12)
     u = complex(p["R_s"] * peak + 3 * w * p["psi_f"], 3 * w * p["L_q"] * peak)
@@ -332,9 +334,9 @@ def test_assumptions_are_consistent_with_the_rated_point():
 SERVO = {"speed": 6000.0, "current": 7.1, "pole_pairs": 4, "torque": 0.27, "R_tt": 0.79, "L_tt": 0.00038, "U_dc": 24.0}
 
 
-@pytest.mark.parametrize("given", few([{**SHEET, "psi_f": 0.545, "J": 0.015}, SERVO], 1))
-def test_the_rig_of_a_data_sheet_meets_its_expectations(given, tmp_path):
-    text, assumed = scenario("mine", given)
+@pytest.mark.parametrize("sheet", few([{**SHEET, "psi_f": 0.545, "J": 0.015}, SERVO], 1))
+def test_the_rig_of_a_data_sheet_meets_its_expectations(sheet, tmp_path):
+    text, assumed = scenario("mine", sheet)
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     assert all(line in text for line in assumed)
@@ -343,7 +345,7 @@ def test_the_rig_of_a_data_sheet_meets_its_expectations(given, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("sheet", "text"),
     [
         ({}, "missing speed, current, pole_pairs, torque"),
         ({**SHEET, "poles": 6.0}, "poles: not asked for"),
@@ -356,9 +358,9 @@ def test_the_rig_of_a_data_sheet_meets_its_expectations(given, tmp_path):
         ({**{k: v for k, v in SHEET.items() if k[0] != "L"}, "voltage": 100.0}, "less than back-EMF"),
     ],
 )
-def test_an_impossible_data_sheet_is_refused(given, text):
+def test_an_impossible_data_sheet_is_refused(sheet, text):
     with pytest.raises(ValueError, match=text):
-        pmsm(given)
+        pmsm(sheet)
 
 
 def test_the_verb_writes_the_scenario(tmp_path, capsys):

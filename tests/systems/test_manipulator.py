@@ -466,9 +466,9 @@ def test_a_continuous_joint_has_its_angle_and_poses_are_in_the_frame_of_the_robo
     file = tmp_path / "endless.urdf"
     file.write_text(text.replace('type="revolute"', 'type="continuous"').replace("base_link", "pedestal"))
     names = tuple(load_model(text).names)[1:]
-    given, endless = (ByHand(RobotDynamics(urdf=source, joints=names)) for source in (TWO_LINK, str(file)))
+    limited, endless = (ByHand(RobotDynamics(urdf=source, joints=names)) for source in (TWO_LINK, str(file)))
     query = {"joint_query": (0.3, -1.1, 0.2, 0.4, 1.0, -2.0), "reference": None}
-    assert endless.update(0, **query) == given.update(0, **query)
+    assert endless.update(0, **query) == limited.update(0, **query)
     pose = next(p for p in endless.block.ports(endless.block.p)[1] if p.name == "tool_pose")
     assert pose.frame_id == "pedestal"
     assert {m.frame_id for m in endless.markers()} == {"pedestal"}

@@ -67,12 +67,12 @@ def driven(package, executable, sign=1.0, begin=0):
         t = (k + begin) * period
         if k % 5 == 0:
             held = {p.name: tuple(sign * rng.uniform(-1.0, 1.0) for _ in range(p.size)) for p in inputs}
-        given = {p.name: Sample(t, held[p.name]) if p.delayed else held[p.name] for p in inputs}
+        inputs_now = {p.name: Sample(t, held[p.name]) if p.delayed else held[p.name] for p in inputs}
         if issubclass(cls, Plant):
             result = block.outputs(x, t)
-            x = block.advance(x, t, **given)
+            x = block.advance(x, t, **inputs_now)
         else:
-            x, result = block.update(x, t, **given)
+            x, result = block.update(x, t, **inputs_now)
         messages = [result.get(p.name) for p in outputs if not p.sporadic]
         rows.append([tuple(r.data if isinstance(r, Sample) else r) for r in messages])
     return rows

@@ -49,7 +49,7 @@ def ran(rig: Rig, make: Make | None) -> tuple[Recording, Mapping[str, Any], str,
     return recording, steps, error, answers.native
 
 
-def held(scenario: Any, make: Make = plain) -> Native:
+def compared(scenario: Any, make: Make = plain) -> Native:
     """Compare both: messages, reports, errors, states, times."""
     result, others, other_error, native = ran(rig_of(scenario), make)
     if not native.ticks:
@@ -135,7 +135,7 @@ def test_a_scenario_gives_the_same_as_in_python(name: str) -> None:
     """By the text that numba gets and by the one that Python runs, on 150 ticks each."""
     reason = why_not(rig_of(name))
     if not reason:
-        natives = [held(scenario(name), make) for make in (typed, plain)]
+        natives = [compared(scenario(name), make) for make in (typed, plain)]
         reason = next((cause(n.reason) or "gives up" for n in natives if n.ticks <= n.given_up), "")
     assert reason == REASONS.get(name, "")
 
@@ -206,12 +206,12 @@ def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
 
 def test_a_text_made_elsewhere_appears_in_the_report() -> None:
     """A reason is passed to a method, which puts it into its report: the tick stays in Python."""
-    held(scenario("rectifier_mpc_l1", changes=[{"at": 0.0015625, "set": {"gpc_controller.set_point": 600.0}}]))
+    compared(scenario("rectifier_mpc_l1", changes=[{"at": 0.0015625, "set": {"gpc_controller.set_point": 600.0}}]))
 
 
 def test_an_array_that_has_grown_is_appended_to_the_previous_one() -> None:
     fault = {"link": "axis/state", "from": 0.5, "kind": "delay", "delay": 0.03}
-    held(scenario("dc_motor_fsfb_s1", faults={"fault": fault}), typed)
+    compared(scenario("dc_motor_fsfb_s1", faults={"fault": fault}), typed)
 
 
 def test_a_rejection_between_two_ticks_counts_at_the_next() -> None:
@@ -219,13 +219,13 @@ def test_a_rejection_between_two_ticks_counts_at_the_next() -> None:
     tick.
     """
     fault = {"link": "joint_states", "from": 0.0025, "kind": "invalid", "probability": 0.02}
-    held(scenario("lsrm_fuzzy", faults={"fault": fault}))
+    compared(scenario("lsrm_fuzzy", faults={"fault": fault}))
 
 
 @given(changed(SOME))
 @settings(max_examples=6, deadline=None, derandomize=True)
 def test_changes_during_a_run_are_the_same(case: Scenario) -> None:
-    held(case)
+    compared(case)
 
 
 @pytest.mark.long
@@ -233,13 +233,13 @@ def test_changes_during_a_run_are_the_same(case: Scenario) -> None:
 @given(data=st.data())
 @settings(max_examples=150, deadline=None)
 def test_changes_during_a_long_run_are_the_same(make: Make, data: st.DataObject) -> None:
-    held(data.draw(changed(SOME)), make)
+    compared(data.draw(changed(SOME)), make)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", SOME)
 def test_numba_computes_the_same_as_python(name: str) -> None:
-    native = held(scenario(name), compiled)
+    native = compared(scenario(name), compiled)
     assert native.ticks > native.given_up
 
 
@@ -249,6 +249,6 @@ def test_a_text_belongs_to_rigs_with_equal_wiring() -> None:
     others = {f"event_source.{key}": value for key, value in event.items()}
     fitted._texts.clear()
     for overrides in ({}, others, {}):
-        native = held(load_scenario("rectifier_mpc").changed(duration=0.06, overrides=overrides))
+        native = compared(load_scenario("rectifier_mpc").changed(duration=0.06, overrides=overrides))
         assert native.ticks > 0
     assert len(fitted._texts) == 2

@@ -55,9 +55,9 @@ MOVER = Problem(  # a mass moved by 1 in 2 s: u = 1.5 (1 - t), lambda = (-1.5, -
 @pytest.mark.parametrize("n", [1, 2, 5, 64])
 def test_nodes_and_weights_are_those_of_numpy(n):
     nodes, weights = np.polynomial.legendre.leggauss(n)
-    ours = gauss_legendre(n)
-    assert ours[0] == pytest.approx(0.5 * (1.0 + nodes), abs=1e-14)
-    assert ours[1] == pytest.approx(0.5 * weights, abs=1e-14)
+    nodes_and_weights = gauss_legendre(n)
+    assert nodes_and_weights[0] == pytest.approx(0.5 * (1.0 + nodes), abs=1e-14)
+    assert nodes_and_weights[1] == pytest.approx(0.5 * weights, abs=1e-14)
 
 
 def test_the_series_of_every_operation_is_the_solution_of_its_equation():
@@ -135,8 +135,8 @@ def test_the_problems_equal_their_equations():
         f = ca.Function("f", [x, u], [ca.vertcat(dx, L)])
         at = [draw.uniform(-0.5, 0.5) for _ in range(x.numel())], [draw.uniform(-1.0, 1.0) for _ in range(u.numel())]
         assert f(*at).full().ravel().tolist() == near(equations(*at))
-    given = {p.name: (p.x0, p.horizon, p.x_end, p.carrier) for p in map(find, ("scalar", "two_state", "reactor"))}
-    assert given == {
+    stated = {p.name: (p.x0, p.horizon, p.x_end, p.carrier) for p in map(find, ("scalar", "two_state", "reactor"))}
+    assert stated == {
         "scalar": ((0.0,), 1.0, (0.5,), "position"),
         "two_state": ((-0.8, 0.0), 1.0, None, "position"),
         "reactor": ((0.05, 0.0), 0.78, None, "position"),
@@ -349,10 +349,10 @@ def test_a_costate_of_a_low_order_is_the_best_of_all(monkeypatch):
     problem = SimpleNamespace(horizon=1.0)
     monkeypatch.setattr(mvim, "newton", lambda *args: (np.array([1.2]), 1e-9))
     monkeypatch.setattr(mvim, "best", lambda problem, roots, z_of, cost: [Root(r, 0.0, 0.0) for r in roots[::-1]])
-    for order, given, answer in ((2, [1.2, 7.0], 7.0), (3, [1.2, 7.0, 5.0], 5.0), (2, [3.0], 3.0), (2, [], 1.2)):
-        monkeypatch.setattr(mvim, "distinct", lambda *args, given=given: [np.array([g]) for g in given])
+    for order, roots_found, answer in ((2, [1.2, 7.0], 7.0), (3, [1.2, 7.0, 5.0], 5.0), (2, [3.0], 3.0), (2, [], 1.2)):
+        monkeypatch.setattr(mvim, "distinct", lambda *args, roots=roots_found: [np.array([g]) for g in roots])
         result, several = costate(problem, np.array([1.0]), order, 1, 1e-8)
-        assert (result[0], len(several)) == (answer, len(given) if len(given) > 1 else 0)
+        assert (result[0], len(several)) == (answer, len(roots_found) if len(roots_found) > 1 else 0)
     monkeypatch.setattr(mvim, "distinct", lambda *args: pytest.fail("no low order"))
     assert costate(problem, np.array([1.0]), 4, 1, 1e-8)[0][0] == 1.2
 
@@ -416,8 +416,8 @@ def test_roots_are_ordered_by_the_cost_in_the_plant():
     def paid(u):
         return 2.0 * u * u / 2 + 3.0 * abs(2.0 * u - 1.0) + 0.5 * abs(2.0 * u)
 
-    given = [np.array([u]) for u in (2.0, 0.4, -1.0, 1e7)]
-    result = best(MOVER, given, z_of, lambda z, u: 7.0 * float(u[0, 0, 0]))
+    candidates = [np.array([u]) for u in (2.0, 0.4, -1.0, 1e7)]
+    result = best(MOVER, candidates, z_of, lambda z, u: 7.0 * float(u[0, 0, 0]))
     assert [r.alpha[0] for r in result] == [0.4, -1.0, 2.0, 1e7]
     assert [r.paid for r in result] == pytest.approx([paid(0.4), paid(-1.0), paid(2.0), math.inf])
     assert [r.series for r in result] == near([2.8, -7.0, 14.0, 7e7])
@@ -548,7 +548,7 @@ def test_reports_of_a_planner_about_an_answer_are_as_expected():
     planner = MvimPlanner(problem="two_state", order=1, eps_res=0.1)
     request = SimpleNamespace(horizon=0.7)
 
-    def said(new=True, **more):
+    def updated(new=True, **more):
         planner.events.clear()
         planned = Planned(
             **{
@@ -567,12 +567,16 @@ def test_reports_of_a_planner_about_an_answer_are_as_expected():
         x, values = planner.answer(planner.first(), 9, Result(3 * S, request, planned, True), new)
         return values.get("summary"), sorted(planner.reports), x.last is planned
 
-    assert said() == ((3.0, 0.7, 4.0, 0.5, 0.099, 0.25, 1.0, 1.0), [], True)
-    assert said(residual=0.1, converged=False) == ((3.0, 0.7, 4.0, 0.5, 0.1, 0.25, 0.0, 0.0), ["not_converged"], True)
-    assert said(accurate=False) == (None, ["no_plan"], False)
-    assert said(values=(1.0, math.nan)) == (None, ["no_plan"], False)
+    assert updated() == ((3.0, 0.7, 4.0, 0.5, 0.099, 0.25, 1.0, 1.0), [], True)
+    assert updated(residual=0.1, converged=False) == (
+        (3.0, 0.7, 4.0, 0.5, 0.1, 0.25, 0.0, 0.0),
+        ["not_converged"],
+        True,
+    )
+    assert updated(accurate=False) == (None, ["no_plan"], False)
+    assert updated(values=(1.0, math.nan)) == (None, ["no_plan"], False)
     assert planner.reports["no_plan"][:2] == (Level.ERROR, "no plan: because")
-    assert said(new=False) == (None, [], False)
+    assert updated(new=False) == (None, [], False)
     assert planner.answer(planner.first(), 0, None, True)[1] == {}
     assert "a" not in planner.health(planner.first())
 
@@ -646,8 +650,8 @@ def test_the_player_reads_the_newest_plan(form, sampling):
         t = 1.0 + 0.5 * k
         new = k == 1
         player.block.ages = lambda name, new=new: 0 if new else None
-        given = {"plan": tuple(table.ravel()), "summary": about(start=1.5)}
-        outputs = player.update(to_ns(t), state=(*first, 0.0, 0.0, 0.0), **given)
+        inputs = {"plan": tuple(table.ravel()), "summary": about(start=1.5)}
+        outputs = player.update(to_ns(t), state=(*first, 0.0, 0.0, 0.0), **inputs)
         began = 1.5 if new or began else None
         left = max(4.5 - t, 0.0) if began else 0.0
         assert outputs["progress"] == near((t - 1.5 if began else 0.0, left))
@@ -720,11 +724,11 @@ def test_the_evaluator_is_a_loop_over_its_inputs(form):
     for k in range(9):
         t, w, u = 2.0 + 0.5 * k, 0.01 * rng.normal(size=3), rng.normal(size=3)
         comes = {1: 0, 4: 1}.get(k)
-        given = {"plan": None, "summary": None}
+        inputs = {"plan": None, "summary": None}
         if comes is not None:
             newest, start, residual = tables[comes], t - 0.25, (1e-5, 1e-6)[comes]
-            given = {"plan": tuple(newest.ravel()), "summary": about(start=start, horizon=2.0, residual=residual)}
-        outputs = evaluator.update(to_ns(t), state=(*w, 0.0, 0.0, 0.0), command=tuple(u), **given)["evaluation"]
+            inputs = {"plan": tuple(newest.ravel()), "summary": about(start=start, horizon=2.0, residual=residual)}
+        outputs = evaluator.update(to_ns(t), state=(*w, 0.0, 0.0, 0.0), command=tuple(u), **inputs)["evaluation"]
         results = dict(zip(FIGURES, outputs, strict=True))
         begin = w if k == 0 else begin
         left = 3.0 - 0.5 * k
@@ -764,13 +768,13 @@ def test_the_evaluator_flags_impossible_optima(summary, flag):
     evaluator = ByHand(OcpEvaluator(horizon=3.0, x0=(w, 0.0, 0.0), order=2))
     reported = about(**{"J_series": 1.0, **summary})
     table = tuple(power_plan(np.random.default_rng(1)).ravel())
-    given = {"state": (w, 0.0, 0.0, 0.0, 0.0, 0.0), "command": (0.0,) * 3, "plan": table}
-    assert evaluator.update(0, summary=reported, **given)["evaluation"][-1] == flag
+    inputs = {"state": (w, 0.0, 0.0, 0.0, 0.0, 0.0), "command": (0.0,) * 3, "plan": table}
+    assert evaluator.update(0, summary=reported, **inputs)["evaluation"][-1] == flag
     assert ("infeasible" in evaluator.reports) is bool(flag)
-    evaluator.update(1, summary=about(residual=0.5), **given)  # a second plan is not judged, only shown
+    evaluator.update(1, summary=about(residual=0.5), **inputs)  # a second plan is not judged, only shown
     assert (evaluator.status()["infeasible"][0], evaluator.status()["residual"][0]) == (flag, 0.5)
     evaluator.block.ages = {"plan": 0, "summary": 1}.get  # two messages that do not belong together
-    evaluator.update(2, summary=about(residual=0.7), **given)
+    evaluator.update(2, summary=about(residual=0.7), **inputs)
     assert evaluator.status()["residual"][0] == 0.5
 
 

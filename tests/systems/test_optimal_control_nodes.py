@@ -131,9 +131,9 @@ def test_a_planner_plans_at_the_expected_ticks():
 
 def test_a_press_asks_for_a_plan_once():
     planner = ByHand(MvimPlanner())
-    given = [asked(planner, k * S, replan=(float(k in (3, 4)),)) for k in range(6)]
-    assert [r is not None for r in given] == [True, False, False, True, False, False]
-    assert given[3].horizon == 97.0
+    requests = [asked(planner, k * S, replan=(float(k in (3, 4)),)) for k in range(6)]
+    assert [r is not None for r in requests] == [True, False, False, True, False, False]
+    assert requests[3].horizon == 97.0
     assert asked(planner, 99 * S, replan=(1.0,)) is None  # less than two periods left
 
 
@@ -310,9 +310,9 @@ def test_an_expired_plan_or_one_of_another_problem_is_refused():
 
 def test_ports_refuse_plans_and_states_of_another_length():
     problem_ports = {p.name: p for p in OcpPlayer.ports(OcpPlayer(problem="scalar", order=8).p)[0]}
-    ours = {p.name: p for p in OcpPlayer.ports(OcpPlayer().p)[0]}
-    assert problem_ports["plan"].size != ours["plan"].size
-    assert problem_ports["state"].channels != ours["state"].channels
+    ports = {p.name: p for p in OcpPlayer.ports(OcpPlayer().p)[0]}
+    assert problem_ports["plan"].size != ports["plan"].size
+    assert problem_ports["state"].channels != ports["state"].channels
 
 
 def test_the_feedback_is_zero_after_the_horizon_and_bounded_in_the_last_period():

@@ -371,8 +371,8 @@ def test_parameters_of_an_arm_are_one_value_or_one_for_each_joint(name):
     arm(0.1)
     arm(0.1, 0.2, 0.3)
     for values in ((0.1, 0.2), (0.1, 0.2, 0.3, 0.4)):
-        given = re.escape(f"{name} = {list(values)} has {len(values)} values, expected 1 or 3 (one a joint)")
-        with pytest.raises((ParameterError, ValueError), match=given):
+        message = re.escape(f"{name} = {list(values)} has {len(values)} values, expected 1 or 3 (one a joint)")
+        with pytest.raises((ParameterError, ValueError), match=message):
             arm(*values)
 
 

@@ -228,7 +228,7 @@ def test_possible_conditions_are_accepted(irradiance, temperature, text):
 
 
 @pytest.mark.parametrize(
-    ("model", "given", "text"),
+    ("model", "parameters", "text"),
     [
         (PvPlantParams, {"d_min": 0.5, "d_max": 0.5}, "d_min = 0.5 is not below d_max = 0.5"),
         (PvPlantParams, {"period": 1e-3, "step": 3e-4}, "period = 0.001 s is not a multiple of step = 0.0003 s"),
@@ -260,9 +260,9 @@ def test_possible_conditions_are_accepted(irradiance, temperature, text):
         ),
     ],
 )
-def test_impossible_parameters_are_refused(model, given, text):
+def test_impossible_parameters_are_refused(model, parameters, text):
     with pytest.raises(ParameterError) as refused:
-        build(model, given)
+        build(model, parameters)
     assert text in str(refused.value)
 
 
@@ -281,8 +281,8 @@ def test_patterns_follow_one_another_with_random_fluctuation():
     assert [q.pattern(k)[1] for k in (0, 1)] == [(5.0, 6.0), (7.0, 8.0)]
     source = ByHand(ShadingSource(modules=2, irradiance=(1490.0, 100.0), temperature=(-39.0, 90.0), fluctuation=0.5))
     draws = source.block.generator().uniform(-1.0, 1.0, 4)
-    given, limits = (1490.0, 100.0, -39.0, 90.0), ((0.0, 1500.0), (0.0, 1500.0), (-40.0, 100.0), (-40.0, 100.0))
-    wanted = [min(max(x * (1.0 + 0.5 * u), low), high) for x, u, (low, high) in zip(given, draws, limits, strict=True)]
+    base, limits = (1490.0, 100.0, -39.0, 90.0), ((0.0, 1500.0), (0.0, 1500.0), (-40.0, 100.0), (-40.0, 100.0))
+    wanted = [min(max(x * (1.0 + 0.5 * u), low), high) for x, u, (low, high) in zip(base, draws, limits, strict=True)]
     assert source.update(0)["environment"] == pytest.approx(wanted)
 
 

@@ -814,17 +814,17 @@ def test_a_negative_delay_does_not_index_into_the_record():
     """One sample below 0 is the oldest sample, a hundred are none: the record starts again."""
     monitor = ByHand(LyapunovMonitor(period=1e-4))
     size = int(np.prod(monitor.block.p.padded()))
-    given = {"state": (1.0, 0.0), "matrices": (1.0,) * size, "verdict": (0.0192, 1.0, 1e-4, 1e-6, 20.0)}
+    inputs = {"state": (1.0, 0.0), "matrices": (1.0,) * size, "verdict": (0.0192, 1.0, 1e-4, 1e-6, 20.0)}
     age = 0
     monitor.block.ages = lambda name: age
     for k in range(3):
         age = k * 100_000
-        monitor.update(age, mode=(0.0, 0.01), **given)
+        monitor.update(age, mode=(0.0, 0.01), **inputs)
     assert monitor.x.watch.counts[0] == 3
     for delay in (-1e-4, -1e-2):
-        assert monitor.update(400_000, mode=(0.0, delay), **given) == {}
+        assert monitor.update(400_000, mode=(0.0, delay), **inputs) == {}
         assert monitor.x.watch.counts[0] == 0
-        monitor.update(500_000, mode=(0.0, 0.01), **given)
+        monitor.update(500_000, mode=(0.0, 0.01), **inputs)
     assert monitor.reports["delay"][:2] == (
         Level.ERROR,
         "pwa/mode delay became -0.01 s, expected 0 or more: the record of V begins again",

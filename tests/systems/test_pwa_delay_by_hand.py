@@ -58,7 +58,7 @@ def unknowns(problem, rng):
     return {name: m + m.T if problem.unknowns[name].symmetric else m for name, m in results.items()}
 
 
-def held(problem, name, matrices, y):
+def satisfied(problem, name, matrices, y):
     """Return y' M y of an inequality."""
     inequality = next(i for i in problem.inequalities if i.name == name)
     return sum(2.0 * (y @ left) @ matrices[x] @ (right.T @ y) for x, left, right in inequality.terms)
@@ -153,11 +153,13 @@ def test_the_criterion_of_constant_delays_is_the_derivative_of_its_functional(or
     for i in range(4):
         y, rate = falls(i)
         name = f"V' < 0 cell {i}" + (f", d {d:.6g}" if shortest < 1.0 else "")
-        assert held(problem, name, matrices, y) == pytest.approx(-rate, rel=1e-6, abs=1e-5)
+        assert satisfied(problem, name, matrices, y) == pytest.approx(-rate, rel=1e-6, abs=1e-5)
         y, value = least(i)
-        assert held(problem, f"V > 0 cell {i}", matrices, y) == near(value)
+        assert satisfied(problem, f"V > 0 cell {i}", matrices, y) == near(value)
     y = rng.normal(size=4)
-    assert (held(problem, "Q", matrices, y), held(problem, "R", matrices, y[:2])) == near((form(y, Q), form(y[:2], R)))
+    assert (satisfied(problem, "Q", matrices, y), satisfied(problem, "R", matrices, y[:2])) == near(
+        (form(y, Q), form(y[:2], R))
+    )
     assert len(problem.inequalities) == 2 + 4 * (2 if shortest == 1.0 else 3)
     assert [i.name for i in problem.traced] == ["Q", "R", *(f"V > 0 cell {i}" for i in range(4))]
 
@@ -210,13 +212,15 @@ def test_theorem_1_is_the_derivative_of_its_functional_and_its_integral_inequali
 
     for i in (0, 2, 3):
         y, psi = falls(i)
-        assert held(problem, f"(10) cell {i}, d {d:g}, d' {rate:g}", m, y) == pytest.approx(-psi, rel=1e-6, abs=1e-5)
+        assert satisfied(problem, f"(10) cell {i}, d {d:g}, d' {rate:g}", m, y) == pytest.approx(
+            -psi, rel=1e-6, abs=1e-5
+        )
         now = y[:4]
         least = form(system.F[i] @ now, m["L1"]) - form(system.E[i] @ now, m[f"H{i}"])
-        assert held(problem, f"(9) cell {i}", m, now) == near(least)
+        assert satisfied(problem, f"(9) cell {i}", m, now) == near(least)
     for name, M in (("(8) 1", windows[1]), ("(8) 2", windows[2]), *((k, m[k]) for k in "RSQZ")):
         y = rng.normal(size=len(M))
-        assert held(problem, name, m, y) == near(form(y, M))
+        assert satisfied(problem, name, m, y) == near(form(y, M))
     assert (len(problem.inequalities), len(problem.traced)) == (6 + 4 * 5, 6 + 4)
     assert len(theorem1(system, 0.0).inequalities) == 6 + 4 * 3  # a constant delay has two corners
 
@@ -527,8 +531,8 @@ def test_a_delay_line_reads_its_record_at_the_age_of_its_delay(kind):
         ages = (len(record) - 1 - np.arange(len(record))) * 0.01
         expected = [np.interp(-back, -ages, [row[c] for row in record]) for c in (0, 1)]
         assert answer["delayed"] == near(tuple(expected))
-    (given,), (gives,) = DelayLine.ports(line.block.p)
-    assert given.units == gives.units == ("rad/s", "rad/s")
+    (port_in,), (gives,) = DelayLine.ports(line.block.p)
+    assert port_in.units == gives.units == ("rad/s", "rad/s")
 
 
 def test_gains_change_at_their_edges():
@@ -590,7 +594,7 @@ def test_a_plant_moves_by_the_cell_of_its_state_and_of_its_past():
 
 def test_invalid_systems_are_refused():
     one, none = (np.array([[-1.0]]),), np.zeros((0, 1))
-    given = {
+    system = {
         "A": one,
         "Ad": one,
         "a": (np.zeros(1),),
@@ -600,16 +604,16 @@ def test_invalid_systems_are_refused():
         "lines": none,
         "lines_delayed": none,
     }
-    both = {k: v * 2 for k, v in given.items() if isinstance(v, tuple)} | {"lines": none, "lines_delayed": none}
+    both = {k: v * 2 for k, v in system.items() if isinstance(v, tuple)} | {"lines": none, "lines_delayed": none}
     half = (np.array([[1.0, 0.0]]), np.array([[-1.0, 0.0]]))
     offset = (np.zeros(1),) * 2
     for values, text in (
-        (given | {"a": ()}, "^0 matrices a for 1 cells$"),
-        (given | {"Ad": (np.eye(2),)}, r"^Ad of cell 0 has the shape \(2, 2\), expected \(1, 1\)$"),
-        (given | {"A": (np.array([[math.nan]]),)}, "^A of cell 0 is not finite$"),
+        (system | {"a": ()}, "^0 matrices a for 1 cells$"),
+        (system | {"Ad": (np.eye(2),)}, r"^Ad of cell 0 has the shape \(2, 2\), expected \(1, 1\)$"),
+        (system | {"A": (np.array([[math.nan]]),)}, "^A of cell 0 is not finite$"),
         (both, r"^cells 0 and 1 overlap at x = \[.*\], x_d = \[.*\]$"),
         (
-            {k: v if k in ("lines", "lines_delayed") else v * 3 for k, v in given.items()},
+            {k: v if k in ("lines", "lines_delayed") else v * 3 for k, v in system.items()},
             r"^cells 0 and 1 overlap at x",
         ),
         (both | {"E": half, "e": (np.full(1, -0.3), np.zeros(1))}, r"^no cell holds x = .*: the cells leave a gap$"),
@@ -782,15 +786,15 @@ def test_a_monitor_publishes_once_its_record_is_complete():
         name: (lambda a: a @ a.T if a.shape[0] == a.shape[1] else a)(rng.normal(size=shape))
         for name, shape in p.shapes().items()
     }
-    given, verdict, system = p.pad(m), (0.64, 1.0, 0.1, 0.1, 9.0), p.build()
+    matrices, verdict, system = p.pad(m), (0.64, 1.0, 0.1, 0.1, 9.0), p.build()
     states = (2.0 + np.cos(0.3 * np.arange(200))) * 1.012 ** np.arange(200)
     record, slopes, values, reported, age = [], [], [], False, 0
     monitor.block.ages = lambda name: age
-    assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=given, verdict=(0.64, 0.0, 0, 0, 0)) == {}
+    assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=matrices, verdict=(0.64, 0.0, 0, 0, 0)) == {}
     for k, state in enumerate(states):
         monitor.reports.clear()
         age = k
-        outputs = monitor.update(k, state=(state,), mode=(0.0, 0.32), matrices=given, verdict=verdict)
+        outputs = monitor.update(k, state=(state,), mode=(0.0, 0.32), matrices=matrices, verdict=verdict)
         record.append(state)
         slopes.append(-0.64 * record[max(k - 32, 0)])
         if k < 64 + 32:
@@ -804,16 +808,16 @@ def test_a_monitor_publishes_once_its_record_is_complete():
         assert ("rises" in monitor.reports) is rises
         values.append(value)
     assert reported
-    _, outputs = monitor.block.update(monitor.x, 0, state=(9.0,), mode=(0.0, 0.66), matrices=given, verdict=verdict)
+    _, outputs = monitor.block.update(monitor.x, 0, state=(9.0,), mode=(0.0, 0.66), matrices=matrices, verdict=verdict)
     rows, rates = np.array([*record[-64:], 9.0]), np.array([*slopes[-64:], -0.64 * record[-66]])
     assert outputs["value"][0] == near(
         functional(system, m, rows[:, None], rates[:, None], 1.0)
     )  # not beyond the bound
     assert monitor.refused(0) == {}
-    assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=given, verdict=verdict) == {}  # from anew
+    assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=matrices, verdict=verdict) == {}  # from anew
     for h, coarse in ((0.64, False), (0.63, True)):
         other = ByHand(LyapunovMonitor(system="scalar", period=0.01))
-        other.update(0, state=(1.0,), mode=(0.0, 0.3), matrices=given, verdict=(h, *verdict[1:]))
+        other.update(0, state=(1.0,), mode=(0.0, 0.3), matrices=matrices, verdict=(h, *verdict[1:]))
         assert ("coarse" in other.reports) is coarse
     assert other.reports["coarse"][1] == "period 0.01 s: expected at most h/64 = 0.00984 s"
 
@@ -836,11 +840,11 @@ def test_figures_of_the_functional_and_of_a_levels_coverage():
         entries = {f"certificate/verdict/{k}/position": (np.arange(2.0), np.array(x)) for k, x in named.items()}
         return level_covered(entries, delay=delay, hold=0.5)
 
-    assert [covered(*given) for given in ((2.0, 1.0, 1.5), (2.0, 1.0, 1.51), (2.0, 0.0, 1.0))] == [1.0, 0.0, 0.0]
+    assert [covered(*values) for values in ((2.0, 1.0, 1.5), (2.0, 1.0, 1.51), (2.0, 0.0, 1.0))] == [1.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(("angle", "before", "cell"), [(0.0, 0.0, 0), (0.0, 1e-12, 1), (1e-12, 0.0, 2), (1.0, 1.0, 3)])
 def test_a_pendulum_that_hangs_straight_down_is_in_the_cell_of_negative_angles(angle, before, cell):
     past = trajectory(0.01, 0.1, (before, 0.0))
-    given = PendulumConstants(0.0, 1.0, np.array([FREE]), profile("constant", 0.05))
-    assert pendulum_cell(0.0, np.array([angle, 0.0]), past, given) == cell
+    constants = PendulumConstants(0.0, 1.0, np.array([FREE]), profile("constant", 0.05))
+    assert pendulum_cell(0.0, np.array([angle, 0.0]), past, constants) == cell

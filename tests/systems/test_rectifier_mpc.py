@@ -401,7 +401,7 @@ def moving(plant):
     return plant.x[: plant.x._fields.index("v") + 1]
 
 
-def held(plant, periods, command=CONSTANTS.drop, events=NOMINAL):
+def run_held(plant, periods, command=CONSTANTS.drop, events=NOMINAL):
     """Run a plant with a constant command; return its power-quality figures by name."""
     for k in range(periods):
         plant.advance(k * NS, command=(command,), events=events)
@@ -447,7 +447,7 @@ def test_averaged_model_agrees_with_an_adaptive_solver():
 
 def test_the_equilibrium_is_at_rest():
     plant = ByHand(RectifierPlant())
-    held(plant, 200)
+    run_held(plant, 200)
     assert moving(plant) == pytest.approx((CONSTANTS.current, 0.0, 400.0), abs=1e-9)
 
 
@@ -487,7 +487,7 @@ def test_decoupled_current_follows_its_ramp_exactly():
 @pytest.mark.parametrize(("carrier_hz", "thd"), [(5e3, 3.768), (1e4, 1.883), (2e4, 0.941)])
 def test_switching_harmonics_are_those_of_the_double_fourier_series(carrier_hz, thd):
     """Open loop, so that only the carrier is present."""
-    result = held(ByHand(RectifierPlant(model="switched", carrier_hz=carrier_hz)), 245)
+    result = run_held(ByHand(RectifierPlant(model="switched", carrier_hz=carrier_hz)), 245)
     assert result["windows"] == 2.0
     assert result["thd"] == pytest.approx(thd, abs=0.003)
     assert result["thd50"] < 0.002
@@ -496,11 +496,11 @@ def test_switching_harmonics_are_those_of_the_double_fourier_series(carrier_hz, 
 
 def test_edges_are_exact_whatever_the_internal_step():
     fine, coarse = (ByHand(RectifierPlant(model="switched", substep=h)) for h in (2e-6, 5e-5))
-    a, b = (held(plant, 130) for plant in (fine, coarse))
+    a, b = (run_held(plant, 130) for plant in (fine, coarse))
     assert moving(fine) == pytest.approx(moving(coarse), abs=2e-3)
     assert a["thd"] == pytest.approx(b["thd"], abs=1e-4)
     default = ByHand(RectifierPlant(model="switched"))
-    held(default, 130)
+    run_held(default, 130)
     assert moving(fine) == pytest.approx(moving(default), abs=1e-5)
 
 
@@ -722,7 +722,7 @@ def test_the_certificate_of_the_papers_model_does_not_help_the_plant():
 def test_native_and_plain_code_give_the_same_bits(monkeypatch):
     native = [ByHand(RectifierPlant(model=m)) for m in ("averaged_dq", "averaged_abc", "switched")]
     for plant in native:
-        held(plant, 2, events=(12.0, 200.0, 20.0))
+        run_held(plant, 2, events=(12.0, 200.0, 20.0))
     code = (
         "import json, sys\n"
         "from softrig_core import ByHand\n"
@@ -818,7 +818,7 @@ def test_lines_of_the_spectrum_are_the_carriers_sidebands():
 def test_time_may_jump():
     """Realtime skips a pause of the host: the open power-quality window is dropped, the next complete one counts."""
     plant = ByHand(RectifierPlant(model="switched"))
-    held(plant, 60)
+    run_held(plant, 60)
     for k in range(60, 301):
         t = k * NS + 7_770_000_000
         assert all(math.isfinite(x) for x in plant.outputs(t)["power_quality"])

@@ -232,8 +232,8 @@ def test_the_sums_of_a_piece_follow_simpsons_rule(plain):
     x, sums = np.array([20.0, -5.0, -15.0, 400.0]), quality.empty()
     p = (CIRCUIT, SENSORLESS, 1.0, 0.0, 0.0)
     begin, g = x.copy(), circuit.grid(0.01, CIRCUIT, SENSORLESS)
-    here = math.sin(0.01 * OMEGA), math.cos(0.01 * OMEGA)
-    switched.piece(0.01, 0.01005, x, switched.slopes(*x, g, p), p, here, g, sums)
+    sine_and_cosine = math.sin(0.01 * OMEGA), math.cos(0.01 * OMEGA)
+    switched.piece(0.01, 0.01005, x, switched.slopes(*x, g, p), p, sine_and_cosine, g, sums)
     switched.settle(sums, 0.01005, x, p[:2])
 
     def at(t, k):

@@ -41,7 +41,7 @@ def cells(variables):
     return [f"{v.name}[{at}]" if v.dims else v.name for v in variables for at in indices[v.name]]
 
 
-def stepped(path, names, period, ticks, driven=None, **given):
+def stepped(path, names, period, ticks, driven=None, **options):
     """Return the output of our plant at each tick; `driven` has input cells and their values at each tick, held in
     between.
     """
@@ -50,7 +50,7 @@ def stepped(path, names, period, ticks, driven=None, **given):
         "outputs": tuple(f"y{k}/x/position = {name}" for k, name in enumerate(names)),
         "inputs": tuple(f"u{k}/x/position = {name}" for k, name in enumerate(inputs)),
     }
-    plant = ByHand(FmuPlant(name="unit", fmu=str(path), period=period, **topics, **given))
+    plant = ByHand(FmuPlant(name="unit", fmu=str(path), period=period, **topics, **options))
     rows = []
     for now in values:
         rows.append([plant.outputs(0)[f"to_y{k}"][0] for k in range(len(names))])
@@ -83,13 +83,13 @@ def test_its_values_equal_those_of_fmpy(path):
     names, about["output"] = cells(outputs), [v.name for v in outputs]
     compared = 0
     if "co_simulation" in unit.interfaces:
-        theirs = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", **about)
+        reference = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", **about)
         close = 1e-5 if path.stem == "Roberts" else 1e-12  # a rounding of the time is one of its own steps more or less
-        _same(stepped(path, names, period, ticks), theirs, outputs, close)
+        _same(stepped(path, names, period, ticks), reference, outputs, close)
         compared += 1
     if "model_exchange" in unit.interfaces and (path.stem in SMOOTH or "co_simulation" not in unit.interfaces):
-        theirs = fmpy.simulate_fmu(str(path), **CVODE, **about)
-        _same(stepped(path, names, period, ticks, method="model_exchange", steps=10), theirs, outputs, 1e-5)
+        reference = fmpy.simulate_fmu(str(path), **CVODE, **about)
+        _same(stepped(path, names, period, ticks, method="model_exchange", steps=10), reference, outputs, 1e-5)
         compared += 1
     assert compared
 
@@ -129,19 +129,25 @@ def test_its_answers_to_inputs_equal_those_of_fmpy(path):
     compared = 0
     for method, kind in INTERFACES.items():
         if method in unit.interfaces:
-            given, steps = {"fmi_type": kind}, 1
+            options, steps = {"fmi_type": kind}, 1
             if method == "model_exchange":  # FMPy draws lines from row to row: two at a tick make it hold
-                given = CVODE | {"input": np.repeat(table, 2)[:-1]}
-                given["input"]["time"], steps = np.repeat(table["time"], 2)[1:], 100
-            theirs = fmpy.simulate_fmu(str(path), **(about | given))
-            theirs = theirs[np.unique(np.round(theirs["time"], 9), return_index=True)[1]]  # the row before each event
-            ours = stepped(path, cells(outputs), period, ticks, (cells(inputs), values), method=method, steps=steps)
-            _same(ours[1:], theirs[1:], outputs, 1e-12 if method == "co_simulation" else 1e-5)  # at 0 FMPy has told it
+                options = CVODE | {"input": np.repeat(table, 2)[:-1]}
+                options["input"]["time"], steps = np.repeat(table["time"], 2)[1:], 100
+            reference = fmpy.simulate_fmu(str(path), **(about | options))
+            reference = reference[
+                np.unique(np.round(reference["time"], 9), return_index=True)[1]
+            ]  # the row before each event
+            result = stepped(path, cells(outputs), period, ticks, (cells(inputs), values), method=method, steps=steps)
+            _same(
+                result[1:], reference[1:], outputs, 1e-12 if method == "co_simulation" else 1e-5
+            )  # at 0 FMPy has told it
             compared += 1
-            assert np.ptp(ours, axis=0).min() > 0.0  # every output changes
+            assert np.ptp(result, axis=0).min() > 0.0  # every output changes
     assert compared
 
 
-def _same(ours, theirs, variables, tolerance):
-    expected = np.concatenate([np.reshape(theirs[v.name], (len(theirs), -1)) for v in variables], axis=1)[: len(ours)]
-    np.testing.assert_allclose(ours, expected.astype(float), rtol=tolerance, atol=tolerance)
+def _same(result, reference, variables, tolerance):
+    expected = np.concatenate([np.reshape(reference[v.name], (len(reference), -1)) for v in variables], axis=1)[
+        : len(result)
+    ]
+    np.testing.assert_allclose(result, expected.astype(float), rtol=tolerance, atol=tolerance)

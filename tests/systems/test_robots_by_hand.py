@@ -175,8 +175,8 @@ def test_the_voltage_controllers_of_the_rehabilitation_robot_equal_their_formula
     ends = set()
     for k in range(120):
         q, qd, i, r, rd, rdd, applied = ([draw.uniform(-0.9, 0.9) for _ in range(2)] for _ in range(7))
-        given = {"applied_voltage": tuple(applied)} if use_applied else {}
-        outputs = robot.update(k, joint_states=(*q, *qd), motor_states=tuple(i), reference=(*r, *rd, *rdd), **given)
+        inputs = {"applied_voltage": tuple(applied)} if use_applied else {}
+        outputs = robot.update(k, joint_states=(*q, *qd), motor_states=tuple(i), reference=(*r, *rd, *rdd), **inputs)
         volts, shown = [], []
         for j in range(2):
             e, last = r[j] - q[j], (applied if use_applied else sent)[j]

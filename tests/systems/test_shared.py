@@ -30,8 +30,8 @@ SHARED = [
 
 @pytest.mark.parametrize(("scenario", "name", "value", "nodes"), SHARED)
 def test_a_shared_value_reaches_all_that_have_it(scenario, name, value, nodes):
-    given = list(value) if isinstance(value, tuple) else value
-    rig = rig_of(load_scenario(scenario, {name: given}))
+    value_as_read = list(value) if isinstance(value, tuple) else value
+    rig = rig_of(load_scenario(scenario, {name: value_as_read}))
     first, _, last = name.partition(".")
     parameter = {"table": "unit_table"}.get(first, first)
     results = {}

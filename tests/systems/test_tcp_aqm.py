@@ -402,10 +402,10 @@ def test_disturbances_act_on_both_plants():
 
 @pytest.mark.parametrize("kind", [TcpFluid, TcpPackets])
 def test_a_command_beyond_0_and_1_is_clipped(kind):
-    for given, applied in ((-0.5, 0.0), (1.5, 1.0)):
+    for commanded, applied in ((-0.5, 0.0), (1.5, 1.0)):
         plant, same = ByHand(kind()), ByHand(kind())
         for k in range(20):
-            plant.advance(k * 10**7, command=(given,))
+            plant.advance(k * 10**7, command=(commanded,))
             same.advance(k * 10**7, command=(applied,))
         assert plant.outputs(0) == same.outputs(0)
         assert plant.reports["clipped"][0] is Level.WARN

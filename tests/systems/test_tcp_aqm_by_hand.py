@@ -314,11 +314,11 @@ def test_packets_follow_their_rules(drop):
     for flow, t in enumerate(starts):
         schedule(inside.agenda, inside.counts, float(t), START, flow, 0, 0.0)
     naive = Naive(windows, propagation, starts.tolist())
-    ours, theirs = np.random.default_rng(5), np.random.default_rng(5)
+    own, reference = np.random.default_rng(5), np.random.default_rng(5)
     for k in range(1, 90):  # until two events of a flow coincide; their order is not specified
         rules = Rules(0.02, 333.0 if 30 < k < 60 else 0.0, 987.0, room, 1.0, 20.0, drop)
-        run_until(k * 0.01, rules, ours, inside)
-        naive.run(k * 0.01, rules, theirs)
+        run_until(k * 0.01, rules, own, inside)
+        naive.run(k * 0.01, rules, reference)
         events, most, _, waiting, served, lost, crossing, drawn = inside.counts.tolist()
         assert inside.sources.window.tolist() == near(naive.windows)
         assert inside.sources.on_the_way.tolist() == naive.way

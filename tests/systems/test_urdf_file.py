@@ -114,11 +114,11 @@ def placed(name, body="<x y='1'/>"):
     tags = path.split("/")
     if key and len(tags) == 1:
         return FULL.replace(f"<{tags[0]} name=", f"<{tags[0]} {key}='1' name=", 1)
-    given = f" {key}='1'" if key else ""
+    attribute = f" {key}='1'" if key else ""
     if tags[-1] in ("limit", "mimic"):
-        return FULL.replace(f"<{tags[-1]} ", f"<{tags[-1]}{given} ", 1)
+        return FULL.replace(f"<{tags[-1]} ", f"<{tags[-1]}{attribute} ", 1)
     inside = body if name.endswith("/**") else ""
-    element = f"<{tags[-1]}{given}>{inside}</{tags[-1]}>"
+    element = f"<{tags[-1]}{attribute}>{inside}</{tags[-1]}>"
     anchor = {"joint": "</joint>", "link": "</link>"}.get(tags[0] if len(tags) > 1 else "", "</robot>")
     return FULL.replace(anchor, element + anchor, 1)
 

@@ -64,14 +64,14 @@ def pytest_runtest_protocol(item):
     finally:
         seconds = time.perf_counter() - started
         outcome = next((o for o in reports if o != "passed"), "passed")
-        ours = {file: set(numbers) for file, numbers in lines.found.items()}
+        executed = {file: set(numbers) for file, numbers in lines.found.items()}
         for place, line in _of_processes(item.nodeid):
-            ours.setdefault(place, set()).add(line)
+            executed.setdefault(place, set()).add(line)
         test = {
             "test": item.nodeid,
             "seconds": round(seconds, 3),
             "outcome": outcome,
-            "lines": {file: sorted(numbers) for file, numbers in ours.items()},
+            "lines": {file: sorted(numbers) for file, numbers in executed.items()},
         }
         out = os.open(os.environ["SOFTRIG_TRACED_TESTS"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
         os.write(out, (json.dumps(test) + "\n").encode())  # in one piece: several workers write
