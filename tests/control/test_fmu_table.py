@@ -91,8 +91,8 @@ def test_the_offset_of_a_unit_does_not_apply_to_a_difference(tmp_path, prepared_
     ("entry", "value"),
     [("declared = 5", 5.0), ("own = 9", 9.0), ("n = 9", 9), ("mode = 3", 3), ("mode = fast", 3), ("mode = slow", 1)],
 )
-def test_values_within_the_bounds_of_a_variable_or_its_type(tmp_path, unit, entry, value):
-    assert [result for _, result in start_values(fmu(tmp_path, unit), [entry])] == [value]
+def test_values_within_the_bounds_of_a_variable_or_its_type(tmp_path, prepared_unit, entry, value):
+    assert [result for _, result in start_values(fmu(tmp_path, prepared_unit), [entry])] == [value]
 
 
 @pytest.mark.parametrize(
@@ -107,9 +107,9 @@ def test_values_within_the_bounds_of_a_variable_or_its_type(tmp_path, unit, entr
         ("c = 4", "c is constant of m.fmu, it cannot be set"),
     ],
 )
-def test_values_outside_are_refused(tmp_path, unit, entry, why):
+def test_values_outside_are_refused(tmp_path, prepared_unit, entry, why):
     with pytest.raises(ValueError, match=why):
-        start_values(fmu(tmp_path, unit), [entry])
+        start_values(fmu(tmp_path, prepared_unit), [entry])
 
 
 def test_bounds_of_unsigned_numbers_are_checked(tmp_path):
@@ -131,9 +131,9 @@ def test_an_alias_is_a_name_of_its_variable(tmp_path):
         ("<ModelStructure/>", "<ModelStructure/><Rest/>", "Rest is no part of modelDescription.xml"),
     ],
 )
-def test_items_outside_the_standard_are_refused(tmp_path, unit, old, new, why):
+def test_items_outside_the_standard_are_refused(tmp_path, prepared_unit, old, new, why):
     with pytest.raises(ScenarioError, match=why):
-        fmu(tmp_path, unit.replace(old, new))
+        fmu(tmp_path, prepared_unit.replace(old, new))
 
 
 def test_items_without_effect_are_reported(tmp_path):
