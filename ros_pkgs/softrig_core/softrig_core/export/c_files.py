@@ -836,8 +836,8 @@ _WORDS = {
     "advance": "Move the state on by one period with the inputs held.",
 }
 
-_REPLAY = """/* Replays {n}_rows.txt and compares bit for bit; prints what differs. Written by `softrig export c`. */
-#include "{n}.h"
+# Three parts of the programs that compare golden rows, of a node here and of a rig in `rig_c`.
+REPLAY_HEAD = """#include "{n}.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -868,19 +868,40 @@ static real_t number(char **at)
 
 int main(int argc, char **argv)
 {{
-    static char line[1 << 16];
-    {n} node;
-    {n}_in in;
-    {n}_out out;
-    {n}_params params = {upper}_PARAMS;
-    FILE *file = fopen(argc > 1 ? argv[1] : "{n}_rows.txt", "r");
+"""
+
+REPLAY_OPEN = """    FILE *file = fopen(argc > 1 ? argv[1] : "{n}_rows.txt", "r");
     if (file == NULL) {{
         fprintf(stderr, "cannot read the rows\\n");
         return 2;
     }}
     (void)number; /* a node without values reads and compares none */
     (void)compare;
-    memset(&in, 0, sizeof in);
+"""
+
+REPLAY_END = """    fclose(file);
+    printf("{{\\"rows\\": %lu, \\"differing\\": %lu, ", rows, differing);
+    printf("\\"gave_up\\": %lu, \\"wrong_status\\": %lu, \\"errors\\": [", gave_up, wrong_status);
+    for (int i = 0; i < CHANNELS; i++) {{
+        printf("%s[%.3g, %.3g]", (i > 0) ? ", " : "", error[i], scale[i]);
+    }}
+    printf("]}}\\n");
+    return (differing != 0 || wrong_status != 0) ? 1 : 0;
+}}
+"""
+
+_REPLAY = (
+    """/* Replays {n}_rows.txt and compares bit for bit; prints what differs. Written by `softrig export c`. */
+"""
+    + REPLAY_HEAD
+    + """    static char line[1 << 16];
+    {n} node;
+    {n}_in in;
+    {n}_out out;
+    {n}_params params = {upper}_PARAMS;
+"""
+    + REPLAY_OPEN
+    + """    memset(&in, 0, sizeof in);
     memset(&out, 0, sizeof out);
     while (fgets(line, sizeof line, file) != NULL) {{
         char *at = line;
@@ -910,16 +931,9 @@ int main(int argc, char **argv)
         wrong_status += ((wanted != 2) && ((status != 0) != (wanted != 0))) ? 1u : 0u;
         (void)t;
     }}
-    fclose(file);
-    printf("{{\\"rows\\": %lu, \\"differing\\": %lu, ", rows, differing);
-    printf("\\"gave_up\\": %lu, \\"wrong_status\\": %lu, \\"errors\\": [", gave_up, wrong_status);
-    for (int i = 0; i < CHANNELS; i++) {{
-        printf("%s[%.3g, %.3g]", (i > 0) ? ", " : "", error[i], scale[i]);
-    }}
-    printf("]}}\\n");
-    return (differing != 0 || wrong_status != 0) ? 1 : 0;
-}}
 """
+    + REPLAY_END
+)
 
 
 def numbers_of(ports: Sequence[Port], values: Mapping[str, Any], flag: str) -> list[str]:

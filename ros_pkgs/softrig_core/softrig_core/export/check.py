@@ -81,7 +81,7 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
     try:
         if board:
             machine, flags = BOARDS[board]
-            compiler, emulator = _tool("arm-none-eabi-gcc", TOOLS), _tool("qemu-system-arm", TOOLS)
+            compiler, emulator = tool("arm-none-eabi-gcc", TOOLS), tool("qemu-system-arm", TOOLS)
             arm = [compiler, *FLAGS, "-mthumb", *flags]
             with resources.as_file(resources.files(__package__)) as sources:
                 linked = ["--specs=rdimon.specs", "-nostartfiles", "-T", str(sources / "cortex_m.ld")]
@@ -90,10 +90,7 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
             hosted = ["-nographic", "-semihosting-config", "enable=on,target=native", "-kernel", program.name]
             command = [emulator, "-M", machine, *hosted]
         else:
-            compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None) or _tool(
-                "cc", "apt-get install gcc"
-            )
-            _compiled([compiler, *FLAGS, "-o", program.name, *files, "-lm"], folder, name)
+            _compiled([c_compiler(), *FLAGS, "-o", program.name, *files, "-lm"], folder, name)
             command = [str(program)]
         content = json.loads(_ran(command, folder, name))
     finally:
@@ -101,7 +98,13 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
     return Replayed(**content, flash=flash)
 
 
-def _tool(name: str, install: str) -> str:
+def c_compiler() -> str:
+    """Return the C compiler of this machine; raise a ScenarioError if there is none."""
+    return next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None) or tool("cc", "apt-get install gcc")
+
+
+def tool(name: str, install: str) -> str:
+    """Return the path of a program; raise a ScenarioError with how to install one that is missing."""
     if (result := shutil.which(name)) is None:
         raise ScenarioError(f"{name} is not installed (Debian: {install})")
     return result

@@ -18,7 +18,17 @@ from ..native.value import NotNative
 from ..rig.members import Link, Member
 from ..rig.rig import Rig
 from ..run.inprocess import check_here, wired
-from .c_files import SUPPORT, Exported, c_of_member, check_class, compared, numbers_of
+from .c_files import (
+    REPLAY_END,
+    REPLAY_HEAD,
+    REPLAY_OPEN,
+    SUPPORT,
+    Exported,
+    c_of_member,
+    check_class,
+    compared,
+    numbers_of,
+)
 from .golden import Call, Changed, watched
 from .kinds import identifier, remark
 from .unit import literal
@@ -366,60 +376,26 @@ int main(void)
 }}
 """
 
-_REPLAY = """/* Runs the rig and compares each output with {n}_rows.txt. Written by `softrig export c`. */
-#include "{n}.h"
-
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
-#define CHANNELS {channels}
-
-static unsigned long rows, differing, gave_up;
-static double error[CHANNELS + 1]; /* by channel, and the largest number there */
-static double scale[CHANNELS + 1];
-static {n} rig;
-
-static void compare(int channel, real_t got, real_t wanted)
-{{
-    scale[channel] = fmax(scale[channel], fabs((double)wanted));
-    error[channel] = fmax(error[channel], fabs((double)got - (double)wanted));
-    if (!((got == wanted && (signbit(got) != 0) == (signbit(wanted) != 0)) || (got != got && wanted != wanted))) {{
-        differing++;
-    }}
-}}
-
-static real_t number(char **at)
-{{
-    return (real_t)strtod(*at, at);
-}}
-
-int main(int argc, char **argv)
-{{
+_REPLAY = (
+    """/* Runs the rig and compares each output with {n}_rows.txt. Written by `softrig export c`. */
+"""
+    + REPLAY_HEAD
+    + """    static {n} rig;
     static char line[1 << 18];
-    FILE *file = fopen(argc > 1 ? argv[1] : "{n}_rows.txt", "r");
-    if (file == NULL) {{
-        fprintf(stderr, "cannot read the rows\\n");
-        return 2;
-    }}
-    (void)number;
-    (void)compare;
-    {n}_init(&rig);
+"""
+    + REPLAY_OPEN
+    + """    {n}_init(&rig);
+    sequence = 1;
     while (fgets(line, sizeof line, file) != NULL) {{
         char *at = line;
         const int64_t t = (int64_t)strtoll(at, &at, 10);
+        const unsigned long failed = ({n}_step(&rig) != SR_DONE) ? 1u : 0u;
         rows++;
-        gave_up += ({n}_step(&rig) != SR_DONE) ? 1u : 0u;
+        gave_up += failed;
+        wrong_status += failed;
         differing += (t != rig.t_ns) ? 1u : 0u;
 {cases}
     }}
-    fclose(file);
-    printf("{{\\"rows\\": %lu, \\"differing\\": %lu, ", rows, differing);
-    printf("\\"gave_up\\": %lu, \\"wrong_status\\": %lu, \\"errors\\": [", gave_up, gave_up);
-    for (int i = 0; i < CHANNELS; i++) {{
-        printf("%s[%.3g, %.3g]", (i > 0) ? ", " : "", error[i], scale[i]);
-    }}
-    printf("]}}\\n");
-    return (differing != 0 || gave_up != 0) ? 1 : 0;
-}}
 """
+    + REPLAY_END
+)

@@ -16,6 +16,7 @@ from ..extras import need
 from ..native.value import NotNative
 from ..rig.members import Member
 from .kinds import identifier, remark
+from .unit import reached
 
 need("pycparser", "structured text")
 from pycparser import c_ast, c_parser  # noqa: E402
@@ -212,7 +213,8 @@ class _Printer:
                 except NotNative as reason:
                     title = self.titles.get(node.decl.name, "")
                     raise NotNative(f"{title}: {reason}" if "." in title else str(reason)) from None
-        needed = self._needed(f"{self.word(f'{self.name}_init')}", *(self.word(f) for f in self.steps()))
+        known = {u.name: "\n".join(u.body) for u in self.done if u.kind == "FUNCTION"}
+        needed = reached([self.word(f"{self.name}_init"), *(self.word(f) for f in self.steps())], known)
         used = [u for u in self.done if u.kind == "TYPE" or u.name in needed]
         return [*_library(used), *used]
 
@@ -278,17 +280,6 @@ class _Printer:
     def steps(self) -> list[str]:
         """Return the functions of C that a user calls at a tick."""
         return [n for w in ("step", "outputs", "advance") if (n := f"{self.name}_{w}") in self.functions]
-
-    def _needed(self, *roots: str) -> set[str]:
-        known = {u.name: "\n".join(u.body) for u in self.done if u.kind == "FUNCTION"}
-        result: set[str] = set()
-        open_ = list(roots)
-        while open_:
-            name = open_.pop()
-            if name in known and name not in result:
-                result.add(name)
-                open_ += re.findall(r"\b\w+(?=\()", known[name])
-        return result
 
     def signature(self, decl: Any) -> None:
         """Register a function."""

@@ -26,6 +26,18 @@ from .kinds import (
 )
 
 
+def reached(roots: Sequence[str], known: Mapping[str, str]) -> set[str]:
+    """Return the functions that some functions call, with these, by the texts of all functions."""
+    result: set[str] = set()
+    open_ = list(roots)
+    while open_:
+        name = open_.pop()
+        if name in known and name not in result:
+            result.add(name)
+            open_ += re.findall(r"\b\w+(?=\()", known[name])
+    return result
+
+
 @dataclass(frozen=True)
 class Value:
     """An expression of C without side effects, and its type."""
@@ -90,14 +102,8 @@ class Unit:
     def used(self, roots: Sequence[str]) -> tuple[list[str], list[str]]:
         """Return the tables and functions that these functions need, in order; abandoned translations left others."""
         known = {_title(text): text for text in self.functions}
-        reached: set[str] = set()
-        open_ = list(roots)
-        while open_:
-            name = open_.pop()
-            if name in known and name not in reached:
-                reached.add(name)
-                open_ += re.findall(r"\b\w+(?=\()", known[name])
-        functions = [text for name, text in known.items() if name in reached]
+        needed = reached(roots, known)
+        functions = [text for name, text in known.items() if name in needed]
         code = "".join(functions)
         for name in roots:
             self._check_rooms(name, known)

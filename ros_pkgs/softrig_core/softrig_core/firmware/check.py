@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 import struct
 import subprocess
 import tempfile
@@ -20,7 +19,7 @@ from ..board.line import Build, Line
 from ..board.simavr import DEBIAN as SIMAVR
 from ..board.wires import Simulated, opened
 from ..errors import ScenarioError
-from ..export.check import BOARDS, FLAGS, TOOLS
+from ..export.check import BOARDS, FLAGS, TOOLS, c_compiler, tool
 
 DEBIAN = f"{SIMAVR} gcc-avr avr-libc arduino-core-avr"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr")
@@ -180,12 +179,6 @@ def _inputs(numbers: Sequence[str], layout: Layout) -> list[Any]:
 # building ------------------------------------------------------------------------------------------------------------
 
 
-def _tool(name: str, install: str) -> str:
-    if (result := shutil.which(name)) is None:
-        raise ScenarioError(f"{name} is not installed (Debian: {install})")
-    return result
-
-
 def _run(command: Sequence[str], subject: str, folder: Path) -> str:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -203,18 +196,26 @@ def _host(folder: Path, name: str, scratch: Path, layout: Layout) -> Path:
     """Return the node as a program of this machine, in the same number type."""
     from .files import filled
 
-    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None) or _tool("cc", "apt-get install gcc")
     (scratch / "host.c").write_text(filled("board_host.c", name, 0))
     sources = [str(scratch / "host.c"), *_own(folder, name)]
     single = ["-DSR_FLOAT"] if layout.single else []
-    command = [compiler, *FLAGS, "-D_POSIX_C_SOURCE=200809L", *single, f"-I{folder.resolve()}", "-o", "host", *sources]
+    command = [
+        c_compiler(),
+        *FLAGS,
+        "-D_POSIX_C_SOURCE=200809L",
+        *single,
+        f"-I{folder.resolve()}",
+        "-o",
+        "host",
+        *sources,
+    ]
     _run([*command, "-lm"], f"{name}.c", scratch)
     return scratch / "host"
 
 
 def _arduino(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, int, int]:
     """Build a sketch as the Arduino IDE does: its core, the sketch as C++, the other files as C."""
-    c, cpp = _tool("avr-gcc", DEBIAN), _tool("avr-g++", DEBIAN)
+    c, cpp = tool("avr-gcc", DEBIAN), tool("avr-g++", DEBIAN)
     core = CORE / "cores" / "arduino"
     if not core.is_dir():
         raise ScenarioError(f"the Arduino core is not installed in {CORE} (Debian: {DEBIAN})")
@@ -243,8 +244,8 @@ def _arduino(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, i
 
 
 def _cortex_m(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, int, int]:
-    compiler = _tool("arm-none-eabi-gcc", TOOLS)
-    _tool("qemu-system-arm", TOOLS)
+    compiler = tool("arm-none-eabi-gcc", TOOLS)
+    tool("qemu-system-arm", TOOLS)
     elf = str((folder / f"{name}.elf").resolve())
     sources = [str((folder / "main.c").resolve()), *_own(folder, name)]
     flags = [*FLAGS, "-mthumb", *BOARDS[board][1], "-ffunction-sections", "-fdata-sections", "-fstack-usage"]
