@@ -4,6 +4,9 @@ Boxes are arranged in columns (`softrig_bringup.page.wiring.columns`). Between t
 its box to the right, is labelled with its topic, and has a vertical lane of its own in that channel. Readers in the
 next column are connected to this lane. All other readers are connected by a track below the boxes and a second lane in
 the channel before them. Every lane and track carries one wire, so wires cross but never overlap.
+
+No library draws this: Graphviz is a program, which pip does not install, and elkjs is 1.5 MB of JavaScript in each
+report. The layouts of networkx do not route wires.
 """
 
 from __future__ import annotations

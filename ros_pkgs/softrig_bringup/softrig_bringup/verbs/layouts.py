@@ -1,4 +1,7 @@
-"""The verb `layouts`: files with which PlotJuggler, Foxglove and RViz show a scenario, made from its plots."""
+"""The verb `layouts`: files with which PlotJuggler, Foxglove and RViz show a scenario, made from its plots.
+
+Only Foxglove has a Python library for its layouts, foxglove-sdk: 19 MB in place of 35 lines.
+"""
 
 from __future__ import annotations
 
