@@ -111,6 +111,8 @@ class PidController(Block[PidControllerParams]):
     K. J. Astrom, T. Hagglund, PID Controllers: Theory, Design, and Tuning, 2nd ed., ISA 1995, chapter 3.
     """
 
+    STATE = State
+
     @classmethod
     def ports(cls, params: PidControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Measurement, reference where it is a signal; one command."""
@@ -126,10 +128,6 @@ class PidController(Block[PidControllerParams]):
         self._on_error = p.derivative_on == "error"
         self._conditional = p.anti_windup == "conditional"
         self._back = p.anti_windup == "back_calculation"
-
-    def first(self) -> State:
-        """Return the state without a past."""
-        return State()
 
     def go_on(self, x: State, before: PidControllerParams) -> State:
         """Continue with other gains, weight or bias without a jump of the output."""

@@ -54,6 +54,8 @@ class CertificateNode(Block[CertificateParams]):
     of a rig is held against it, and /diagnostics name them.
     """
 
+    STATE = State
+
     @classmethod
     def ports(cls, params: CertificateParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Arrays of the size of the model."""
@@ -65,10 +67,6 @@ class CertificateNode(Block[CertificateParams]):
             array("moduli", "certificate/moduli", {"pole": n}, "", sporadic=True),
             scalars("verdict", "certificate/verdict", verdict, sporadic=True),
         )
-
-    def first(self) -> State:
-        """Return a state in which the first tick counts as a press."""
-        return State()
 
     def update(self, x: State, t: int, *, certify: tuple[float, ...] | None) -> tuple[State, Mapping[str, Any]]:
         """Publish the result when the button is pressed."""

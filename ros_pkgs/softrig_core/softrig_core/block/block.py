@@ -120,6 +120,7 @@ class Block(Generic[P]):
     Params: ClassVar[type[BlockParams]] = BlockParams
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
+    STATE: ClassVar[type[Any]] = tuple  # type of x; its defaults are the state before the first tick
     realtime = False  # set by the code that runs the block: the wall clock drives it, so nothing may wait in `update`
     DRAWN_BY: ClassVar[str] = ""  # module:class of a `softrig_core.drawing.Drawing`; empty: its `scene` is drawn
     TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports of a protection that stays tripped
@@ -217,11 +218,12 @@ class Block(Generic[P]):
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 
     def first(self) -> Any:
-        """Return the state before the first tick; a block without memory has no state.
+        """Return the state before the first tick: `STATE` with its defaults; a block without memory has no state.
 
-        Unusual parameters are reported here and in `go_on`; the holder of the block receives the report.
+        A block whose first state depends on its parameters overrides this method. Unusual parameters are reported here
+        and in `go_on`; the holder of the block receives the report.
         """
-        return ()
+        return self.STATE()
 
     def pop_first(self) -> Any:
         """Return the state before the first tick, as `first` does, for the code that holds the block from now on."""

@@ -138,6 +138,7 @@ class Solver(Block[S]):
     # the latency, there is never a result.
     CANCELS: ClassVar[bool] = False
     SCRATCH = frozenset({"worker"})  # the process: what it works on is in `x.jobs`
+    STATE: ClassVar[type[Any]] = SolverState
 
     def request(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Any]:
         """Return x and the request, which must be picklable; None if this tick makes no new request."""
@@ -170,10 +171,6 @@ class Solver(Block[S]):
             Whether it takes effect at this tick.
         """
         raise NotImplementedError
-
-    def first(self) -> Any:
-        """Return the state before the first tick."""
-        return SolverState()
 
     def reset(self, seed: int) -> None:
         """Restore the initial state; kill the current work."""

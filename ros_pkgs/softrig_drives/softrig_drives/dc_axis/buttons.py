@@ -32,6 +32,7 @@ class StepButtons(Block[StepButtonsParams]):
     """Publishes the state of both buttons at every tick: 1 while pressed."""
 
     OUTPUTS = (FORWARD, REVERSE)
+    STATE = State
 
     def setup(self) -> None:
         """Turn the presses into intervals of ns."""
@@ -39,10 +40,6 @@ class StepButtons(Block[StepButtonsParams]):
         self._presses = {
             name: [(to_ns(at), to_ns(at) + hold) for at in getattr(self.p, name)] for name in ("forward", "reverse")
         }
-
-    def first(self) -> State:
-        """Wait for the first tick."""
-        return State()
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float]]]:
         """Return both buttons."""

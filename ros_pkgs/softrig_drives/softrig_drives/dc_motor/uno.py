@@ -96,6 +96,7 @@ class DcMotorUno(Plant[DcMotorUnoParams]):
 
     OUTPUTS = (TRUE_STATE, SENSORS, APPLIED)
     SCRATCH = frozenset({"_boards"})  # the simulator, which can only go on
+    STATE = State
 
     def setup(self) -> None:
         """Compile firmware and simulator; the cache has them afterwards."""
@@ -108,10 +109,6 @@ class DcMotorUno(Plant[DcMotorUnoParams]):
         self._program = simulator_of(p)
         self._firmware = firmware_of(p)
         self._boards: list[Simulator] = []
-
-    def first(self) -> State:
-        """Begin at rest, with the firmware at its reset."""
-        return State()
 
     def save(self, x: State) -> Any:
         """Refuse: the state is that of a process.

@@ -72,6 +72,7 @@ class ImPlant(Plant[ImPlantParams]):
     TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent", "switch_fault"})
     INPUTS = (SWITCHES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS_TRUE, CURRENTS_MEAS, FLUX_TRUE, DC_LINK)
+    STATE = State
 
     @classmethod
     def agreed(cls, params: ImPlantParams) -> Mapping[str, Any]:
@@ -87,10 +88,6 @@ class ImPlant(Plant[ImPlantParams]):
         self._voltages = [(u.real, u.imag) for u in (voltage(v) * p.U_dc for v in VECTORS)]
         self._convert = Converter(p)
         self._dc_link = (p.U_dc,)
-
-    def first(self) -> State:
-        """Rest without flux; the inverter in V0."""
-        return State()
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return speed, fluxes and currents, and these as they are converted."""

@@ -34,15 +34,12 @@ class SpeedController(Block[SpeedControllerParams]):
 
     INPUTS = (SPEED, SPEED_REF)
     OUTPUTS = (TORQUE_REF,)
+    STATE = State
 
     def setup(self) -> None:
         """Create the law."""
         self._pid = Pid(self.p, self.p.period)
         self._rise = self.p.slew * self.p.period
-
-    def first(self) -> State:
-        """Return the state at standstill."""
-        return State()
 
     def go_on(self, x: State, before: SpeedControllerParams) -> State:
         """Continue with other gains without a jump, see `softrig_control.pid.Pid.go_on`."""

@@ -60,6 +60,7 @@ class CurrentController(Block[CurrentControllerParams]):
 
     INPUTS = (MOTION, PHASE_CURRENTS, FORCE_CMD)
     OUTPUTS = (PHASE_VOLTAGE,)
+    STATE = State
 
     def setup(self) -> None:
         """Arrange the constants for the compiled law."""
@@ -67,10 +68,6 @@ class CurrentController(Block[CurrentControllerParams]):
         self._geometry = p.numbers()
         self._law = np.array([p.K_pc, p.K_ic, p.U_dc, p.I_max, p.threshold, p.zero_current, p.resolution, p.period,
                               float(p.feed_forward), p.R])  # fmt: skip
-
-    def first(self) -> State:
-        """No integral."""
-        return State()
 
     def go_on(self, x: State, before: CurrentControllerParams) -> State:
         """Continue with other gains; the output of the integrals stays."""

@@ -62,16 +62,14 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
     What it remembers is the force itself, so other factors, terms and rules bring no jump.
     """
 
+    STATE = State
+
     def setup(self) -> None:
         """Create the surface."""
         p = self.p
         outputs = [THIRDS[n + LARGEST] for n in p.rules]
         table = [outputs[k : k + TERMS] for k in range(0, len(outputs), TERMS)]
         self._surface = TakagiSugeno((p.peaks, p.peaks), table, p.conjunction)
-
-    def first(self) -> State:
-        """No force, no error before the first."""
-        return State()
 
     def update(
         self, x: State, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]

@@ -31,14 +31,12 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
     The integral does not contain the newest error yet (see `softrig_control.pid.Pid`).
     """
 
+    STATE = PidState
+
     def setup(self) -> None:
         """Create the law."""
         p = self.p
         self._pid = Pid(PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max), p.period)
-
-    def first(self) -> PidState:
-        """No integral."""
-        return PidState()
 
     def go_on(self, x: PidState, before: LsrmPiParams) -> PidState:
         """Continue with other gains without a jump, see `softrig_control.pid.Pid.go_on`."""

@@ -238,6 +238,7 @@ class BldcPlant(Plant[BldcPlantParams]):
     TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent"})
     INPUTS = (GATES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS, DC_LINK)
+    STATE = State
 
     @classmethod
     def agreed(cls, params: BldcPlantParams) -> Mapping[str, Any]:
@@ -252,10 +253,6 @@ class BldcPlant(Plant[BldcPlantParams]):
         self._step = p.step()
         self._profile = StepProfile(p.load_times, p.load_torques)
         self._period = to_ns(p.period)
-
-    def first(self) -> State:
-        """Begin at rest without current."""
-        return State()
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return shaft, phase currents, supply."""

@@ -160,10 +160,7 @@ class CurrentSensor(Block[CurrentSensorParams]):
 
     INPUTS = (CURRENTS,)
     OUTPUTS = (CURRENTS_OUT,)
-
-    def first(self) -> CurrentState:
-        """Begin with the first sample."""
-        return CurrentState()
+    STATE = CurrentState
 
     def update(
         self, x: CurrentState, t: int, *, currents: tuple[float, ...]

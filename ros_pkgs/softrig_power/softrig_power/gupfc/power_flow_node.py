@@ -64,14 +64,11 @@ class PowerFlowNode(Block[PowerFlowParams]):
         array("device", "power_flow/device", {"quantity": len(DEVICE)}, list(DEVICE.values()), sporadic=True),
         array("result", "power_flow/result", {"quantity": len(RESULT)}, list(RESULT.values()), sporadic=True),
     )
+    STATE = State
 
     def setup(self) -> None:
         """Prepare the network."""
         self._solver = PowerFlow(self.p.network)
-
-    def first(self) -> State:
-        """Return the initial state: nothing answered yet."""
-        return State()
 
     def update(
         self,

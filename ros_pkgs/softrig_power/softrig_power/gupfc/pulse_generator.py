@@ -51,6 +51,7 @@ class PulseGenerator(Block[PulseGeneratorParams]):
         array("spectrum", "pulses/spectrum", {"harmonic": len(ORDERS), "quantity": 2}, ["", "%"] * len(ORDERS)),
         scalars("quality", "pulses/quality", {"fundamental": "pu", "thd": "%", "thd_50": "%"}),
     )
+    STATE = State
 
     @classmethod
     def agreed(cls, params: PulseGeneratorParams) -> Mapping[str, Any]:
@@ -60,10 +61,6 @@ class PulseGenerator(Block[PulseGeneratorParams]):
     def setup(self) -> None:
         """Ticks of a command."""
         self._ticks = max(1, round(self.p.command_period / self.p.period))
-
-    def first(self) -> State:
-        """Nominal command."""
-        return State()
 
     def update(
         self, x: State, t: int, *, command: tuple[float, ...] | None

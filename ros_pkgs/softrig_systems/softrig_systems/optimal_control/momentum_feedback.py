@@ -26,6 +26,8 @@ class MomentumFeedback(Block[ProblemParams]):
     A state that is refused holds the command.
     """
 
+    STATE = State
+
     @classmethod
     def agreed(cls, params: ProblemParams) -> Mapping[str, Any]:
         """The task; its idea of the plant is its own."""
@@ -42,10 +44,6 @@ class MomentumFeedback(Block[ProblemParams]):
     def setup(self) -> None:
         """Horizon."""
         self._T = self.p.statement().horizon
-
-    def first(self) -> State:
-        """Not begun."""
-        return State()
 
     def update(self, x: State, t: int, *, state: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Return the torques."""

@@ -85,6 +85,7 @@ class Planner(Solver[P]):
     """
 
     LABEL = "power"
+    STATE = State
 
     @classmethod
     def shape(cls, params: Any) -> tuple[int, int]:
@@ -108,10 +109,6 @@ class Planner(Solver[P]):
         """Size and horizon of the problem."""
         self._n = len(self.p.statement().states)
         self._T = self.p.statement().horizon
-
-    def first(self) -> State:
-        """Return the initial state without a plan."""
-        return State()
 
     def request(
         self, x: State, t: int, *, state: tuple[float, ...], replan: Any = None

@@ -68,6 +68,8 @@ class OcpPlayer(Block[PlayerParams]):
     rejected with ERROR, and the previous plan continues. A rejected state has no effect: the plan continues.
     """
 
+    STATE = State
+
     @classmethod
     def ports(cls, params: PlayerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Channels of the problem."""
@@ -84,10 +86,6 @@ class OcpPlayer(Block[PlayerParams]):
     def warm_up(self) -> None:
         """Do nothing: no plan has arrived yet."""
         polynomials(np.zeros((1, 1, 1)), 0.0)
-
-    def first(self) -> State:
-        """No plan."""
-        return State()
 
     def update(
         self, x: State, t: int, *, state: tuple[float, ...], plan: tuple[float, ...], summary: tuple[float, ...]

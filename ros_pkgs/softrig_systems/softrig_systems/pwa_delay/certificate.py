@@ -137,6 +137,8 @@ class CertificateNode(Solver[CertificateParams]):
     the error names the value. For a level, h includes the delay of the pipe and the hold of the controller.
     """
 
+    STATE = State
+
     @classmethod
     def agreed(cls, params: CertificateParams) -> Mapping[str, Any]:
         """The system, or tank and law."""
@@ -152,10 +154,6 @@ class CertificateNode(Solver[CertificateParams]):
         verdict = scalars("verdict", "certificate/verdict", VERDICT, sporadic=True)
         outputs = (params.matrices_port(sporadic=True), verdict) if params.shapes() else (verdict,)
         return (button("certify", "certify", held=True),), outputs
-
-    def first(self) -> State:
-        """Return the state before the first request."""
-        return State()
 
     def request(
         self, x: State, t: int, *, certify: tuple[float, ...] | None = None

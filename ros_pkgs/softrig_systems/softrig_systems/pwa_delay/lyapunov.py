@@ -103,6 +103,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
     """
 
     OUTPUTS = (VALUE,)
+    STATE = State
 
     @classmethod
     def agreed(cls, params: LyapunovMonitorParams) -> Mapping[str, Any]:
@@ -119,10 +120,6 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
     def setup(self) -> None:
         """Build the system."""
         self._system = self.p.build()
-
-    def first(self) -> State:
-        """Know no certificate."""
-        return State()
 
     def update(
         self,

@@ -55,15 +55,12 @@ class MarginSearch(Solver[MarginSearchParams]):
 
     INPUTS = (button("search", "search", held=True),)
     OUTPUTS = (scalars("margin", "margin", {"margin": "s", "low": "s", "high": "s", "growth": "1/s"}, sporadic=True),)
+    STATE = State
 
     @classmethod
     def agreed(cls, params: MarginSearchParams) -> Mapping[str, Any]:
         """The system."""
         return params.agreed()
-
-    def first(self) -> State:
-        """Return the state before the first request."""
-        return State()
 
     def request(
         self, x: State, t: int, *, search: tuple[float, ...] | None = None

@@ -66,6 +66,8 @@ class FocController(Block[FocControllerParams]):
     After an input that was refused the machine gets zero voltage for the period, and the state stays.
     """
 
+    STATE = State
+
     @classmethod
     def ports(cls, params: FocControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The reference is that of the mode."""
@@ -85,10 +87,6 @@ class FocController(Block[FocControllerParams]):
         self._k = 1.5 * p.pole_pairs
         self._mode = p.mode
         self._reach = p.voltage_use * self._control.reach
-
-    def first(self) -> State:
-        """Begin with zero voltage."""
-        return State()
 
     def update(
         self,

@@ -58,6 +58,8 @@ class ImFocController(Block[ImFocParams]):
     1/omega.
     """
 
+    STATE = State
+
     @classmethod
     def ports(cls, params: ImFocParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The reference is that of the mode."""
@@ -79,10 +81,6 @@ class ImFocController(Block[ImFocParams]):
         self._rate = p.R_R / p.L_M
         self._decay = math.exp(-self._rate * p.period)
         self._reach = p.voltage_use * self._control.reach
-
-    def first(self) -> State:
-        """Begin without flux."""
-        return State()
 
     def update(
         self,
@@ -153,15 +151,12 @@ class VhzController(Block[VhzParams]):
 
     INPUTS = (DC_LINK, SPEED_REF)
     OUTPUTS = (DUTY,)
+    STATE = VhzState
 
     def setup(self) -> None:
         """Prepare the ramp."""
         self._rise = self.p.slew * self.p.period
         self._reach = linear_range(self.p.modulation)
-
-    def first(self) -> VhzState:
-        """Return the state at standstill."""
-        return VhzState()
 
     def update(
         self, x: VhzState, t: int, *, dc_link: tuple[float, ...], speed_ref: tuple[float, ...] | None

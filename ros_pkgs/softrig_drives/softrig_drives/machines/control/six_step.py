@@ -52,6 +52,7 @@ class SixStepController(Block[SixStepParams]):
 
     INPUTS = (CURRENTS, HALL, SHAFT_MEAS, DC_LINK, SPEED_REF)
     OUTPUTS = (GATES, SIX_STEP)
+    STATE = State
 
     @classmethod
     def agreed(cls, params: SixStepParams) -> Mapping[str, Any]:
@@ -64,10 +65,6 @@ class SixStepController(Block[SixStepParams]):
         self._speed = SpeedControl(p)
         self._k_p = p.current_bandwidth * 2.0 * p.L
         self._share = p.period * p.R / p.L
-
-    def first(self) -> State:
-        """Begin with zero voltage."""
-        return State()
 
     def update(
         self,
