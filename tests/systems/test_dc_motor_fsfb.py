@@ -9,7 +9,6 @@ from conftest import few, in_process
 from scipy.optimize import brentq
 from softrig_core import (
     ByHand,
-    Level,
     Sample,
     ScenarioError,
     Signals,
@@ -28,7 +27,6 @@ V = "axis/true_state/axis/velocity"
 U = "axis/command/armature/effort"
 SET_POINT = "axis/controller_state/set_point/position"
 MM = 140 / 12  # mm of command per volt
-P = {"fsfb_controller.kv": 7.28534, "fsfb_controller.kp": 62.5, "fsfb_controller.ki": 103.5038}
 NODES = ("dc_axis_plant", "fieldbus_delay", "step_buttons", "fsfb_controller", "axis_metrics")
 AXIS_SCENARIOS = [n for n in list_scenarios() if n.startswith("dc_motor_fsfb")]
 
@@ -382,12 +380,6 @@ def test_encoder_counts_and_speed_over_the_window():
         plant.advance(k, command=(3.0 if k < 50 else -3.0,))
 
 
-def test_friction_sticks_up_to_the_break_away_force():
-    volts = 60.0 / (2.2862 * MM)
-    assert not drive(DcAxisPlant(friction=True), 0.999 * volts, 0.5).any()
-    assert drive(DcAxisPlant(friction=True), -1.001 * volts, 0.5)[-1, 0] < 0.0
-
-
 def test_friction_stops_where_and_when_the_equation_says():
     plant = ByHand(DcAxisPlant(friction=True))
     a, c = 5.26, 40.0
@@ -455,32 +447,6 @@ def ask(block, t_ms, y=0.0, v=0.0, *, stamp_ms=None, reference=None, forward=Non
     )
 
 
-def set_point(answer):
-    return answer["controller_state"][0]
-
-
-def test_buttons_add_to_the_set_point_once_a_press_also_during_motion():
-    block = controller(step_mm=7.0)
-    presses = [(0, 0), (1, 0), (1, 0), (0, 0), (1, 0), (0, 0), (0, 1), (0, 1), (0, 0), (0, 1)]
-    results = [set_point(ask(block, 10 * k, 0.3 * k, forward=f, reverse=r)) for k, (f, r) in enumerate(presses)]
-    assert results == [0, 7, 7, 7, 14, 14, 7, 7, 7, 0]
-
-
-def test_both_buttons_move_nothing_and_are_reported():
-    block = controller()
-    presses = [(1, 1), (0, 0), (1, 0), (1, 1), (1, 1), (0, 1), (0, 0), (0, 1)]
-    results = [set_point(ask(block, 10 * k, forward=f, reverse=r)) for k, (f, r) in enumerate(presses)]
-    assert results == [0, 0, 10, 10, 10, 10, 10, 0]
-    assert block.reports["buttons"][0] == Level.WARN
-
-
-def test_newest_of_reference_and_button_wins():
-    block = controller()
-    asked = [(None, 0), (25.0, 0), (25.0, 1), (25.0, 0), (25.0, 1), (5.0, 1)]
-    results = [set_point(ask(block, 10 * k, reference=r, forward=f)) for k, (r, f) in enumerate(asked)]
-    assert results == [0, 25, 35, 35, 45, 5]
-
-
 def test_reference_topic_moves_the_axis():
     base = load_scenario("dc_motor_fsfb")
     source = {
@@ -502,14 +468,6 @@ def test_reference_topic_moves_the_axis():
     assert not signals[Y].x[:100].any()
 
 
-def test_a_controller_that_joins_a_standing_axis_does_not_move_it():
-    block = controller()
-    answers = [ask(block, 1000 + 10 * k, 30.0) for k in range(20)]
-    assert max(abs(a["command"][0]) for a in answers) < 1e-9
-    assert set_point(answers[-1]) == 30.0
-    assert answers[-1]["model"][0] == pytest.approx(30.0)
-
-
 def test_model_signals_are_the_delay_free_loop():
     late, none = run("dc_motor_fsfb"), run("dc_motor_fsfb_s1_none")
     names = ("position_set", "velocity", "acceleration", "deceleration", "jerk")
@@ -525,12 +483,6 @@ def test_model_signals_are_the_delay_free_loop():
     assert np.diff(velocity) == pytest.approx(acceleration[:-1] * (1 - decay) / 5.26, abs=1e-9)
     assert (deceleration == -acceleration).all()
     assert jerk[1:] == pytest.approx(np.diff(acceleration) / 0.01)
-
-
-def test_model_velocity_is_clipped():
-    signals = axis(controller__vmax=5.0)
-    assert signals["axis/model/velocity/position"].x.max() == 5.0
-    assert (signals[Y].x == run("dc_motor_fsfb")[Y].x).all()
 
 
 def test_reset_forgets_everything():
@@ -565,22 +517,6 @@ def moving():
     return block
 
 
-@pytest.mark.parametrize(
-    ("bad", "key", "text"),
-    [
-        ({"stamp_ms": 101}, "feedback time", "0.001 s in the future"),
-    ],
-)
-def test_bad_feedback_or_reference_gives_zero_volt_and_holds(moving, bad, key, text):
-    before = ask(moving, 90, forward=1)["controller_state"]
-    answer = ask(moving, 100, **({"forward": 1} | bad))
-    assert answer["command"] == (0.0,)
-    assert answer["controller_state"][:4] == before[:4]
-    assert moving.reports[key][0] == Level.ERROR
-    assert text in moving.reports[key][1]
-    assert ask(moving, 110, forward=1)["command"][0] > 0.1  # and goes on
-
-
 def test_a_tick_that_the_node_rejected_counts_as_bad_feedback(moving):
     twin = controller()
     for k in range(10):
@@ -588,43 +524,6 @@ def test_a_tick_that_the_node_rejected_counts_as_bad_feedback(moving):
     assert moving.refused(100 * MS)["command"] == (0.0,)
     ask(twin, 100, forward=1, stamp_ms=101)
     assert ask(moving, 110, forward=1) == ask(twin, 110, forward=1)
-
-
-def test_feedback_older_than_half_a_second_gives_zero_volt():
-    block = controller()
-    answers = {t: ask(block, t, forward=1, stamp_ms=0) for t in range(0, 600, 10)}
-    assert all(a["command"][0] != 0.0 for t, a in answers.items() if 0 < t <= 500)
-    assert all(a["command"][0] == 0.0 for t, a in answers.items() if t > 500)
-    assert block.reports["feedback age"] == (Level.ERROR, "feedback is older than 0.5 s: 0 V", 9)
-
-
-def test_feedback_out_of_order_is_dropped(moving):
-    twin = controller()
-    for k in range(10):
-        ask(twin, 10 * k, forward=1)
-    assert ask(moving, 100, 3.0, stamp_ms=80, forward=1) == ask(twin, 100, 0.0, stamp_ms=90, forward=1)
-    assert moving.reports["feedback order"][0] == Level.WARN
-
-
-def test_prediction_over_unknown_commands_gives_zero_volt():
-    """A controller that starts while late feedback is on its way does not know the earlier commands."""
-    block = controller()
-    answers = [ask(block, 1000 + 10 * k, 5.0, forward=1, stamp_ms=920 + 10 * k) for k in range(10)]
-    assert [a["command"][0] for a in answers[:8]] == [0.0] * 8
-    assert answers[9]["command"][0] > 0.1
-    text = "the commands of the last 8 periods are not all known: 0 V"
-    assert block.reports["predictor"] == (Level.WARN, text, 8)
-
-
-def test_a_short_gap_is_filled_with_the_command_that_the_drive_held(moving):
-    held = ask(moving, 100, forward=1)["command"][0]
-    state = ask(moving, 140, forward=1, stamp_ms=100)["controller_state"]
-    assert state[1:3] == pytest.approx(drive(DcAxisPlant(), held, 0.04)[-1], rel=1e-9)
-
-
-def test_after_a_long_gap_the_commands_are_not_trusted(moving):
-    assert ask(moving, 160, forward=1, stamp_ms=90)["command"] == (0.0,)
-    assert "predictor" in moving.reports
 
 
 def test_fixed_delay_is_rounded_up_and_reported():

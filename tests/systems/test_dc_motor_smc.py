@@ -7,10 +7,6 @@ import numpy as np
 import pytest
 from board_by_hand import UNO
 from conftest import few, in_process
-from scipy.linalg import expm as scipy_expm
-from softrig_control.discretise import expm, zero_order_hold
-from softrig_control.kalman import SteadyKalman, steady_kalman_gain
-from softrig_control.pid import Pid, PidParams, PidState
 from softrig_control.sliding_mode import switching
 from softrig_core import (
     ByHand,
@@ -22,7 +18,7 @@ from softrig_core import (
     rig_of,
 )
 from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
-from softrig_drives.dc_motor.model import MotorConstants, state_space
+from softrig_drives.dc_motor.model import MotorConstants
 from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
@@ -138,17 +134,6 @@ def test_load_step_inside_a_sample_is_exact():
             assert coarse.x[:3] == pytest.approx(fine.x[:3], rel=1e-11)
 
 
-def test_matrix_exponential():
-    rng = np.random.default_rng(1)
-    for size, norm in [(2, 1e-3), (3, 1.0), (5, 40.0), (5, 0.0)]:
-        a = rng.normal(size=(size, size)) * norm
-        assert np.array(expm(a.tolist())) == pytest.approx(scipy_expm(a), rel=1e-10, abs=1e-12)
-    a, b = state_space(MotorConstants())
-    ad, bd = zero_order_hold(a, b, 0.01)
-    whole = scipy_expm(0.01 * np.block([[np.array(a), np.array(b)], [np.zeros((2, 5))]]))
-    assert np.hstack([ad, bd]) == pytest.approx(whole[:3], rel=1e-14)
-
-
 # The digital rig
 
 
@@ -225,39 +210,6 @@ def test_switching_term():
     assert switching(0.0, 1.0) == 0.0
 
 
-def test_smc_is_eq_33_and_36():
-    state, sensors, reference = (4.0,), (0.0, 0.7), (10.0,)
-    wd = -5.5 * 4.0 + 37.5 * 0.7
-    s = C * 6.0 - wd
-    equivalent = 1.509 * 4.0 + 5.648 * wd - C * wd
-    for delta, term in ((0.0, 1.0), (5.0, s / (s + 5.0))):
-        law = ByHand(DcMotorSmc(delta=delta, publish_surface=True))
-        answer = law.update(0, state=state, sensors=sensors, reference=reference)
-        assert answer["command"][0] == pytest.approx((equivalent + 10 * K * term) / 13.89, rel=1e-12)
-        assert answer["surface"][0] == pytest.approx(s, rel=1e-12)
-
-
-def test_the_switching_gain_can_be_absolute():
-    law = ByHand(DcMotorSmc(k=160.0))
-    answer = law.update(0, state=(0.0,), sensors=(0.0, 0.0), reference=(2.0,))
-    assert answer["command"][0] == pytest.approx(160.0 / 13.89, rel=1e-12)
-
-
-def test_the_derivative_term_uses_the_speed_difference_and_its_filter():
-    def answers(**p):
-        law = ByHand(DcMotorSmc(wd_source="diff", publish_surface=True, **p))
-        ramp = [law.update(0, state=(0.02 * k,), sensors=(0.0, 9.0), reference=(1.0,))["surface"][0] for k in range(9)]
-        return [C * (1.0 - 0.02 * k) - s for k, s in enumerate(ramp)]  # w'
-
-    assert answers() == pytest.approx([0.0] + [2.0] * 8, rel=1e-9, abs=1e-12)
-    assert answers(wd_lp=0.03) == pytest.approx([2.0 * (1 - math.exp(-k / 3)) for k in range(9)], rel=1e-9, abs=1e-12)
-
-
-def test_no_switching_before_the_first_reference_other_than_zero():
-    law = ByHand(DcMotorSmc(set_point=0.0))
-    assert law.update(0, state=(0.0,), sensors=(0.0, 0.0), reference=None)["command"] == (0.0,)
-
-
 def test_a_rejected_reference_still_gives_the_surface():
     law = ByHand(DcMotorSmc(publish_surface=True))
     answer = law.refused(0)
@@ -271,59 +223,7 @@ def test_motor_brakes_when_the_reference_becomes_zero():
     assert w.x[-1] == pytest.approx(0.0, abs=0.05)
 
 
-def answers(pid, *errors):
-    """Return the outputs of a PID controller for a sequence of errors."""
-    x, result = PidState(), []
-    for e in errors:
-        x, u = pid(x, e)
-        result.append(u)
-    return result
-
-
-def test_pid_difference_equations():
-    pid = Pid(PidParams(kp=2.0, ki=3.0, kd=0.5, n_filter=50.0, anti_windup=False), 0.01)
-    d0 = 0.5 * 50.0 * 1.0 / 1.5
-    d1 = (d0 + 0.5 * 50.0 * (0.4 - 1.0)) / 1.5
-    assert answers(pid, 1.0, 0.4) == pytest.approx([2.0 + d0, 0.8 + 0.03 * 1.0 + d1])
-
-
-@pytest.mark.parametrize(("anti_windup", "integral"), [(True, 0.0), (False, 0.3)])
-def test_integral_stops_while_the_output_is_beyond_the_limit(anti_windup, integral):
-    pid = Pid(PidParams(kp=2.0, ki=3.0, u_max=1.5, anti_windup=anti_windup), 0.01)
-    result = answers(pid, *[1.0] * 10, 0.0, 0.5, 0.5)
-    assert result[10] == pytest.approx(integral, abs=1e-12)
-    assert result[11] < result[12]  # inside the limit it integrates in both cases
-
-
-def test_the_integral_winds_back_beyond_the_limit():
-    pid = Pid(PidParams(kp=0.1, ki=100.0, u_max=1.0), 0.01)
-    assert answers(pid, 0.9, 0.9, 0.5, -0.1, -0.1) == pytest.approx([0.09, 0.99, 1.85, 1.79, 1.69])
-
-
-def test_the_kalman_gain_is_the_limit_of_the_riccati_recursion():
-    a, c = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[1.0, 0.0]])
-    q, r = (1e-3, 1e-2), (0.05,)
-    P = np.eye(2)
-    for _ in range(2000):
-        gain = P @ c.T @ np.linalg.inv(c @ P @ c.T + np.diag(r))
-        P = a @ (np.eye(2) - gain @ c) @ P @ a.T + np.diag(q)
-    assert np.array(steady_kalman_gain(a.tolist(), c.tolist(), q, r)) == pytest.approx(gain, rel=1e-9)
-
-    b = [[0.005], [0.1]]
-    kalman, x, rng = SteadyKalman(a.tolist(), b, c.tolist(), q, r), np.zeros(2), np.random.default_rng(3)
-    estimate = kalman.first()
-    for y, u in rng.normal(size=(50, 2)):
-        x = a @ x + np.array(b)[:, 0] * u
-        x = x + gain[:, 0] * (y - x[0])
-        estimate = kalman(estimate, (u,), (y,))
-        assert estimate == pytest.approx(x, rel=1e-8, abs=1e-10)
-
-
 # Bad input
-
-
-def test_the_controller_with_an_estimate_begins_with_its_set_point_and_the_size_of_that():
-    assert DcMotorSmcKalman(set_point=-3.0).first()[:2] == (-3.0, 3.0)
 
 
 # how to make the law, its inputs beside the reference, and which of their numbers it uses

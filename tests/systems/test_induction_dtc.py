@@ -1,15 +1,12 @@
 """Induction motor under direct torque control: the acceptance numbers, the model, the controllers, bad input."""
 
 import math
-from functools import partial
-from itertools import accumulate, groupby
+from itertools import groupby
 
 import numpy as np
 import pytest
 from conftest import differences, few, in_process
-from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 from softrig_bringup.plots import pictures as plots
 from softrig_bringup.run.run import checked, execute
 from softrig_core import (
@@ -28,20 +25,14 @@ from softrig_core import (
 from softrig_core.block.codec import Decoder
 from softrig_core.kit import compiled
 from softrig_core.wire.cdr import Layout
-from softrig_drives.induction_dtc.adc import ROW, AdcParams, Converter, draw
 from softrig_drives.induction_dtc.dtc import DtcController
-from softrig_drives.induction_dtc.estimator import EstimatorParams, Flux, make_estimator
-from softrig_drives.induction_dtc.figures import circle, largest, last_revolution, leg_transitions, slope
+from softrig_drives.induction_dtc.figures import largest, leg_transitions
 from softrig_drives.induction_dtc.machine import STATES, MachineConstants
 from softrig_drives.induction_dtc.plant import ImPlant
 from softrig_drives.induction_dtc.ports import SWITCHES
-from softrig_drives.induction_dtc.speed import SpeedController
 from softrig_drives.induction_dtc.switching import (
     TABLES,
     VECTORS,
-    flux_level,
-    sector,
-    torque_level,
     voltage,
 )
 from softrig_nodes.processes.placement import Placement
@@ -184,62 +175,11 @@ def test_halving_the_step_divides_the_error_by_sixteen():
     assert coarse / fine == pytest.approx(16, rel=0.2)
 
 
-def test_electrical_part_at_standstill_is_the_matrix_exponential():
-    m = MachineConstants(J=1e12)
-    plant = ByHand(ImPlant(adc_mode="none", trip_current=1e3, **m.model_dump()))
-    for k in range(400):
-        plant.advance(k, switches=VECTORS[2], load_torque=None)
-    a = np.array([[-m.R_s, m.R_s], [m.R_R, -m.R_R - m.R_R * m.L_sigma / m.L_M]]) / m.L_sigma
-    u = 540.0 * voltage(VECTORS[2])
-    psi = np.linalg.solve(a, (expm(a * 400 * T_S) - np.eye(2)) @ [1.0, 0.0]) * u
-    result = np.array(plant.x[:STATES])
-    np.testing.assert_allclose(result[0:4:2] + 1j * result[1:4:2], psi, rtol=1e-9)
-    i = (psi[0] - psi[1]) / m.L_sigma
-    currents = plant.outputs(0)["currents_true"]
-    np.testing.assert_allclose(currents, [(i * np.exp(-2j * np.pi * n / 3)).real for n in range(3)], rtol=1e-8)
-
-
 def test_virtual_machine_gives_the_same_bits_as_compiled_code(monkeypatch):
     rig = rig_of("induction_dtc", duration=0.3)
     native = run_inprocess(rig, 1)["im_plant"]
     monkeypatch.setattr(compiled, "build", lambda function: None)
     assert run_inprocess(rig, 1)["im_plant"].x == native.x
-
-
-@given(st.floats(-15.9, 15.9), st.sampled_from([8, 10, 16]))
-def test_converters_round_and_truncate(x, bits):
-    ideal, floor = (Converter(AdcParams(adc_mode=mode, bits=bits)) for mode in ("ideal", "offset"))
-    q = 16.0 / 2 ** (bits - 1)
-    assert abs(ideal(x) - x) <= q / 2
-    assert 0.0 <= x - floor(x) <= q
-    assert ideal(x) / q == round(ideal(x) / q)
-    assert Converter(AdcParams(adc_mode="none"))(x) == x
-
-
-def test_a_converter_clips_to_its_codes_and_reports_it():
-    ideal = Converter(AdcParams(adc_mode="ideal"))
-    samples = (15.98, 16.1, 99.0, -15.99, -16.1, 0.0)
-    assert [ideal(x) / Q for x in samples] == [511, 511, 511, -512, -512, 0]
-    assert [ideal.beyond(x) for x in samples] == [False, True, True, False, True, False]
-    assert not Converter(AdcParams(adc_mode="none")).beyond(99.0)
-
-
-@pytest.mark.parametrize(("p_d", "offset"), few([(0.0, 0.5), (0.5, 0.5), (1.0, 0.5), (0.8, 0.8)], 2))
-def test_dither_moves_the_mean_by_its_probability(p_d, offset):
-    converter = Converter(AdcParams(adc_mode="dither", dither_p=p_d, offset_lsb=offset))
-    bits = np.random.default_rng(3).random(40000)
-    x = np.random.default_rng(4).uniform(-10, 10, 40000)
-    error = (np.array([converter(v, bit) for v, bit in zip(x, bits, strict=True)]) - x) / Q
-    assert error.mean() == pytest.approx(p_d - offset, abs=0.01)
-    assert error.std() == pytest.approx(math.sqrt(1 / 12 + p_d * (1 - p_d)), abs=0.01)
-    # added after clipping
-    assert {converter(20.0, bit) / Q for bit in bits[:100]} == {511.0 + d for d in (0, 1) if (1 - p_d, p_d)[d]}
-
-
-def test_each_channel_has_its_rows_of_dither_bits():
-    both = [draw(k, channel) for k in range(3 * ROW) for channel in (0, 1)]
-    assert sorted(both) == list(range(6 * ROW))
-    assert [draw(k, 1) for k in (0, ROW - 1, ROW)] == [ROW, 2 * ROW - 1, 3 * ROW]
 
 
 def test_dither_depends_on_the_seed():
@@ -261,15 +201,6 @@ def test_voltage_vectors_are_sixty_degrees_apart():
     for n, vector in enumerate(VECTORS[1:7]):
         assert voltage(vector) == pytest.approx(2 / 3 * np.exp(1j * np.pi / 3 * n), abs=1e-15)
     assert voltage(VECTORS[0]) == voltage(VECTORS[7]) == 0
-
-
-@pytest.mark.parametrize("n", range(1, 7))
-def test_sectors_include_their_lower_bound(n):
-    middle = 60 * (n - 1)
-    for degrees in (-30 + 1e-9, -29, 0, 29, 30 - 1e-9):
-        assert sector(0.9 * np.exp(1j * np.radians(middle + degrees))) == n
-    assert sector(0.9j) == 3
-    assert sector(-0.9j) == 6
 
 
 @pytest.mark.parametrize("name", list(TABLES))
@@ -295,43 +226,6 @@ def test_tables_are_as_printed():
     assert decrease == ((7, 0, 7, 0, 7, 0), (3, 4, 5, 6, 1, 2), (5, 6, 1, 2, 3, 4))
 
 
-def test_comparators_have_hysteresis():
-    errors = (0.0, -0.01, -0.011, 0.005, 0.011, -0.005)
-    assert [*accumulate(errors, partial(flux_level, band=0.01), initial=1)][1:] == [1, 1, 0, 0, 1, 1]
-    errors = (0.4, 0.6, 0.1, 0.0, -0.4, -0.6, -0.1, 0.6, -0.6, 0.0, 0.5)
-    result = [*accumulate(errors, partial(torque_level, band=0.5), initial=0)][1:]
-    assert result == [0, 1, 1, 0, 0, -1, -1, 1, -1, 0, 0]
-
-
-def test_voltage_model_is_the_trapezoidal_rule():
-    model = make_estimator(EstimatorParams(), T_S)
-    first = model(Flux(), 99.0, 1 + 1j, 0.0)
-    assert first.psi == 0  # the first sample is the start
-    flux = model(first, 100j, 3 + 1j, 0.0)
-    assert flux.psi == pytest.approx(T_S * (100j - R_S * (2 + 1j)))
-    assert model.torque(flux) == pytest.approx(3.0 * (flux.psi.conjugate() * (3 + 1j)).imag)
-
-
-def test_observer_stays_near_the_current_model():
-    offset, g, omega = 0.05, 10.0, 50.0
-    observer = make_estimator(EstimatorParams(estimator="observer", observer_gain=g), T_S)
-    flux = Flux()
-    for _ in range(60000):
-        flux = observer(flux, R_S * (5.0 + 0j), 5.0 + offset, omega)
-    current_model = 0.021 * 5.05 + 2.1 * 5.05 / (2.1 / 0.224 - 2j * omega)
-    assert flux.psi - current_model == pytest.approx(-R_S * offset * (1 / g - T_S), rel=1e-6)
-
-
-def test_controller_starts_by_magnetising():
-    controller = ByHand(DtcController(magnetising_time=0.2))
-    zero = {"currents_meas": (0.0, 0.0, 0.0), "dc_link": (540.0,), "torque_ref": (15.0,)}
-    results = [controller.update(k * 50_000, **zero)["switches"] for k in range(3999)]
-    assert set(results) == {VECTORS[0], VECTORS[1]}
-    assert results[0] == VECTORS[1]
-    later = [controller.update(200_000_000 + k * 50_000, **zero)["switches"] for k in range(3)]
-    assert later[0] in (VECTORS[2], VECTORS[3])  # sector 1, more torque
-
-
 def test_controller_reproduces_its_record():
     scenario = load_scenario("induction_dtc_short")
     signals = recorded(scenario)
@@ -345,39 +239,6 @@ def test_controller_reproduces_its_record():
         )
         assert outputs["switches"] == tuple(row)
         assert outputs["flux_estimate"][0] == signals["flux_estimate/x"].x[k]
-
-
-def test_the_estimator_accounts_for_the_computation_delay():
-    scenario = load_scenario("induction_dtc_short", {"dtc_controller.delay_steps": 2, "im_plant.adc_mode": "none"})
-    signals = recorded(scenario)
-    assert legs(signals)[:3].tolist() == [[0, 0, 0], [0, 0, 0], [1, 0, 0]]
-    error = signals["flux_estimate/x"].x - signals["flux_true/x"].x[:-1]
-    assert np.abs(error).max() < 5e-5
-
-
-def test_speed_controller_slews_and_limits():
-    controller = ByHand(SpeedController())
-    first = controller.update(0, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0]
-    assert first == pytest.approx(1.5 * 0.5)
-    results = [controller.update(k, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0] for k in range(400)]
-    assert max(results) == results[-1] == 20.0
-    controller.reset(0)
-    assert controller.update(0, joint_states=(0.0,), speed_ref=None)["torque_ref"] == (0.0,)
-    assert controller.update(0, joint_states=(-40.0,), speed_ref=(-1.0,))["torque_ref"][0] == 20.0
-    controller.reset(0)
-    assert controller.update(0, joint_states=(0.0,), speed_ref=(-100.0,))["torque_ref"][0] == pytest.approx(-1.5 * 0.5)
-
-
-def test_figures_find_line_circle_and_revolution():
-    t = np.linspace(0.0, 2.0, 2001)
-    assert slope(t, (3 - 2j) * t + 5) == pytest.approx(3 - 2j)
-    psi = 0.2 - 0.1j + 0.9 * np.exp(50j * t)
-    turn = last_revolution(psi)
-    assert turn.size == pytest.approx(2 * np.pi / 50 * 1000, abs=2)
-    centre, radius = circle(turn)
-    assert centre == pytest.approx(0.2 - 0.1j)
-    assert radius == pytest.approx(0.9)
-    assert last_revolution(psi[:100]) is None
 
 
 def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
@@ -458,26 +319,6 @@ def test_overcurrent_trips_permanently():
     assert plant.reports["overcurrent"][2] == 1
 
 
-def test_saturated_converter_warns_after_ten_samples():
-    plant = ByHand(ImPlant(full_scale=4.0, trip_current=100.0))
-    beyond = 0
-    while beyond <= 10:
-        assert "adc_saturated" not in plant.reports
-        plant.advance(0, switches=VECTORS[1], load_torque=None)
-        beyond += plant.outputs(0)["currents_true"][0] > 4.0
-    assert plant.reports["adc_saturated"][0] == Level.WARN
-
-
-@pytest.mark.long
-def test_lost_flux_warns():
-    signals_of = load_scenario(
-        "induction_dtc_s0", {"speed_source.velocities": [0.0, 0.0], "load_source.values": [0, 0]}
-    )
-    blocks = run_inprocess(rig_of(signals_of), 0)
-    assert blocks["dtc_controller"].reports["flux_lost"][0] == Level.WARN
-    assert abs(complex(*blocks["im_plant"].x[:2])) < 0.09
-
-
 @pytest.mark.long  # daily in a container
 @pytest.mark.processes
 def test_the_same_bits_over_topics(tmp_path):
@@ -485,14 +326,3 @@ def test_the_same_bits_over_topics(tmp_path):
     run = execute(checked(scenario), Placement(), tmp_path)
     assert run.error == ""
     assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
-
-
-def test_a_rejected_current_holds_the_switches_and_the_flux_is_still_integrated():
-    block = ByHand(DtcController(magnetising_time=0.0))
-    good = {"currents_meas": (3.0, -1.0, -2.0), "dc_link": (540.0,), "torque_ref": (5.0,)}
-    for k in range(5):
-        before = block.update(k * 50_000, **good)
-    answer = block.refused(250_000)
-    assert answer["switches"] == before["switches"]
-    step = math.hypot(*(a - b for a, b in zip(answer["flux_estimate"], before["flux_estimate"], strict=True)))
-    assert step == pytest.approx(50e-6 * 540.0 * 2 / 3, rel=0.2)  # the voltage of one period, less the resistance's
