@@ -14,7 +14,6 @@ from scipy.integrate import solve_ivp
 from simulated import SimulatedRig, World
 from softrig_core import (
     ByHand,
-    Level,
     RunError,
     ScenarioError,
     Signals,
@@ -32,8 +31,6 @@ from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.manipulator.controller import VcsController
 from softrig_robots.manipulator.model import Links, manipulator_urdf
 from softrig_robots.manipulator.plant import ManipulatorPlant
-from softrig_robots.manipulator.surfaces import Coefficients
-from softrig_robots.manipulator.trajectory import TrajectorySource
 from softrig_robots.rigid_body import SymbolicRobot, load_model
 from softrig_robots.urdf import read_urdf
 
@@ -310,64 +307,6 @@ def test_outputs_are_the_reference_values():
 # laws ------------------------------------------------------------------------------------------------------------
 
 
-def test_coefficients_are_those_of_the_derivative_of_sigma():
-    p, (a1, a2, b1, b2) = (
-        ca.SX.sym("p"),
-        (10.0, 0.1, 20.0, 0.2),
-    )  # p: d/dt; sigma p = (p + b1 + b2/p)(p + a1 + a2/p) e p
-    polynomial = ca.Function("f", [p], [(p**2 + b1 * p + b2) * (p**2 + a1 * p + a2)])
-    mu = Coefficients.of(a1, a2, b1, b2, printed=False)
-    for value in (0.3, 1.0, 2.5):
-        assert float(polynomial(value)) == pytest.approx(
-            value**4 + mu.mu1 * value**3 + mu.mu2 * value**2 + mu.mu3 * value + mu.mu4
-        )
-    assert Coefficients.of(a1, a2, b1, b2, printed=True).mu1 == a1 + b2
-
-
-@pytest.mark.parametrize("law", ["adsmc", "dsmc"])
-def test_the_printed_mu1_reaches_the_controller(law):
-    def second_voltage(**options):
-        block = ByHand(VcsController(law=law, **options))
-        for t in (0, 1):
-            outputs = block.update(t, joint_states=(0.0,) * 6, reference=(*(0.0,) * 6, *(1.0,) * 3))
-        return outputs["motor_command"][0]
-
-    mu1 = {"adsmc": (30.0, 10.2), "dsmc": (300.0, 700.0)}[law]
-    assert second_voltage() == pytest.approx(1e-3 * mu1[0])  # first voltage 0, Upsilon = 1
-    assert second_voltage(use_printed_mu1=True) == pytest.approx(1e-3 * mu1[1])
-
-
-@pytest.mark.parametrize("law", ["adsmc", "dsmc"])
-def test_surfaces_are_those_of_the_error(law):
-    gains = {"a1": 3.0, "a2": 2.0, "b1": 5.0, "b2": 4.0}
-    block, T = ByHand(VcsController(law=law, **{law: gains})), 1e-3
-    t = ca.SX.sym("t")
-    e = ca.sin(2 * t) * ca.exp(-t)
-    e_int = (2 - ca.exp(-t) * (2 * ca.cos(2 * t) + ca.sin(2 * t))) / 5
-    s = ca.jacobian(e, t) + 3 * e + 2 * e_int
-    exact = ca.Function("exact", [t], [e, ca.jacobian(e, t), s, ca.jacobian(s, t) + 5 * s])
-    s_int = 0.0
-    for k in range(1000):
-        now = [float(x) for x in exact(k * T)]
-        outputs = block.update(k, joint_states=(0.0,) * 6, reference=(now[0],) * 3 + (now[1],) * 3 + (0.0,) * 3)
-        if k > 1:
-            assert outputs["controller_state"][3] == pytest.approx(now[2], abs=5e-3)
-            assert outputs["controller_state"][6] == pytest.approx(now[3] + 4 * s_int, abs=2e-2)
-        s_int += T * now[2]
-
-
-def test_trajectory_and_its_derivatives():
-    source = ByHand(TrajectorySource(amplitude=[1.0, 2.0, 0.5]))
-    h = 1e-4
-    for t in (0.0, 1.3, 7.0, 13.2, 20.0):
-        before, now, after = (np.array(source.update(round((t + k * h) * 1e9))["reference"]) for k in (1, 2, 3))
-        assert now[:3] == pytest.approx(
-            np.array([1.0, 2.0, 0.5]) * (1 - math.cos(math.pi * (t + 2 * h) / 7)), abs=1e-12
-        )
-        np.testing.assert_allclose(now[3:6], (after - before)[:3] / (2 * h), atol=1e-8)
-        np.testing.assert_allclose(now[6:], (after - before)[3:6] / (2 * h), atol=1e-8)
-
-
 # scenarios, A2 to A6 and stretch ---------------------------------------------------------------------------------
 
 
@@ -510,18 +449,6 @@ def test_state_that_is_not_finite_ends_the_run():
     with pytest.raises(RunError, match="integration stopped"):
         plant.advance(0, motor_command=(0.0, 0.0, 0.0))
     assert plant.x == before
-
-
-def test_saturation_is_limited_and_reported_per_motor():
-    plant, same = ByHand(ManipulatorPlant()), ByHand(ManipulatorPlant())
-    for k in range(10):
-        plant.advance(k * 1_000_000, motor_command=(100.0, -50.0 if k < 3 else 0.0, 1.0))
-        same.advance(k * 1_000_000, motor_command=(40.0, -40.0 if k < 3 else 0.0, 1.0))
-    assert plant.x == same.x
-    assert same.reports == plant.reports  # the controllers keep the limit themselves
-    level, text, _ = plant.reports["saturation"]
-    assert level == Level.WARN
-    assert text.startswith("motor voltages at their limit of 40 V for [0.01, 0.003, 0.0] s")
 
 
 def test_links_given_as_parameters_change_the_robot():

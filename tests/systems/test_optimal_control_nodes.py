@@ -20,9 +20,7 @@ from softrig_systems.optimal_control.collocation_planner import CollocationPlann
 from softrig_systems.optimal_control.evaluator import FIGURES, OcpEvaluator
 from softrig_systems.optimal_control.method import collocation
 from softrig_systems.optimal_control.method.mvim import solve
-from softrig_systems.optimal_control.momentum_feedback import MomentumFeedback
 from softrig_systems.optimal_control.mvim_planner import MvimPlanner
-from softrig_systems.optimal_control.planning import Request
 from softrig_systems.optimal_control.plants import OcpPlant, ScalarPlant, SpacecraftPlant, TwoStatePlant
 from softrig_systems.optimal_control.player import OcpPlayer
 from softrig_systems.optimal_control.problem import ProblemError
@@ -80,15 +78,6 @@ def test_a_diverging_state_may_not_be_published(kind):
         admit(plant.outputs(0), port, "plant", 0)
 
 
-def test_torques_are_limited_and_biased():
-    plant, same = ByHand(SpacecraftPlant(torque_limit=0.5, bias=(0.1, 0.0, 0.0))), ByHand(SpacecraftPlant())
-    plant.advance(0, command=(2.0, 0.1, -3.0))
-    same.advance(0, command=(0.6, 0.1, -0.5))
-    assert plant.outputs(0)["state"][:3] == same.outputs(0)["state"][:3]
-    assert plant.outputs(0)["state"][3:] == (0.5, 0.1, -0.5)  # the output of the actuator without the disturbance
-    assert plant.reports["limited"][0] is Level.WARN
-
-
 @pytest.mark.parametrize("name", ["scalar", "spacecraft", "two_state", "reactor"])
 def test_half_the_step_changes_nothing(name):
     period = find(name).horizon / 100.0
@@ -117,45 +106,6 @@ def taken(planner, result):
     planner.x, values = planner.block.answer(planner.x, result.stamp, result, True)
     planner.store_reports()
     return values
-
-
-def test_a_planner_plans_at_the_expected_ticks():
-    planner = ByHand(MvimPlanner(k_replan=5))
-    plans = [k for k in range(101) if asked(planner, k * S) is not None]
-    assert plans == list(range(0, 100, 5))
-    planner = ByHand(MvimPlanner(k_replan=1))
-    assert [k for k in range(101) if asked(planner, k * S) is not None] == list(range(99))  # not in the last 2 s
-    planner = ByHand(MvimPlanner())
-    assert [k for k in range(101) if asked(planner, k * S) is not None] == [0]
-
-
-def test_a_press_asks_for_a_plan_once():
-    planner = ByHand(MvimPlanner())
-    requests = [asked(planner, k * S, replan=(float(k in (3, 4)),)) for k in range(6)]
-    assert [r is not None for r in requests] == [True, False, False, True, False, False]
-    assert requests[3].horizon == 97.0
-    assert asked(planner, 99 * S, replan=(1.0,)) is None  # less than two periods left
-
-
-def test_a_plan_that_misses_the_end_is_not_published():
-    planner = ByHand(MvimPlanner())
-    answered(planner, asked(planner))
-    request = Request(planner.params.model_copy(update={"order": 2}), (1e6, 1e6, 1e6), 1e6, None)  # no root to be found
-    assert answered(planner, request) == {}
-    assert planner.reports["no_plan"][0] is Level.ERROR
-
-
-def test_a_plan_with_a_large_residual_is_published_as_not_converged():
-    planner = ByHand(MvimPlanner(order=4))
-    values = answered(planner, asked(planner))
-    assert planner.reports["not_converged"][0] is Level.WARN
-    assert values["summary"][-2:] == (0.0, 0.0)
-    player = ByHand(OcpPlayer(order=4))
-    silent = player.update(0, state=STATE, plan=values["plan"], summary=values["summary"])
-    assert silent["command"] == (0.0, 0.0, 0.0)
-    assert player.reports["plan_refused"][0] is Level.ERROR
-    player = ByHand(OcpPlayer(order=4, allow_unconverged=True))
-    assert player.update(0, state=STATE, plan=values["plan"], summary=values["summary"])["command"] != (0.0, 0.0, 0.0)
 
 
 def test_diagnostics_name_alpha_and_the_costs_of_all_orders():
@@ -256,25 +206,6 @@ def planned(horizon=100.0, start=0.0, x=W0):
     return tuple(solution.coefficients.ravel()), (start, horizon, 8.0, solution.J[-1], 1e-7, 0.0, 1.0, 1.0)
 
 
-def fed(player, t, plan=None, summary=None, state=STATE):
-    """A row without a plan: nothing new has arrived."""
-    player.block.ages = (lambda name: 0) if plan is not None else (lambda name: None)
-    return player.update(t, state=state, plan=plan or (0.0,) * 81, summary=summary or (0.0,) * 8)
-
-
-def test_the_player_holds_the_middle_of_each_period_and_zero_after_the_horizon():
-    solution = solve(find("spacecraft"), 8)
-    player = ByHand(OcpPlayer())
-    assert fed(player, 0)["command"] == (0.0, 0.0, 0.0)
-    assert fed(player, 0, *planned())["command"] == pytest.approx(solution(0.5)[6:], rel=1e-12)
-    assert fed(player, 37 * S)["command"] == pytest.approx(solution(37.5)[6:], rel=1e-12)
-    assert fed(player, 37 * S)["progress"] == (37.0, 63.0)
-    assert fed(player, 100 * S) == {"command": (0.0, 0.0, 0.0), "progress": (100.0, 0.0)}
-    assert player.refused(38 * S)["command"] == pytest.approx(solution(38.5)[6:], rel=1e-12)
-    player = ByHand(OcpPlayer(sampling="start"))
-    assert fed(player, 0, *planned())["command"] == pytest.approx(solution(0.0)[6:], rel=1e-12)
-
-
 def test_a_plan_that_arrives_ticks_after_its_stamp_is_played():
     solution = solve(find("spacecraft"), 8)
     plan, summary = planned()
@@ -295,32 +226,11 @@ def test_markers_show_the_momentum():
     assert ball == Marker("body", "tip", "sphere_list", (tip,), 0.05, (0.9, 0.4, 0.1, 1.0))
 
 
-def test_an_expired_plan_or_one_of_another_problem_is_refused():
-    other = (W0[0] + 1e-6, *W0[1:])
-    cases = (0, -100.0, W0, "over"), (0, 0.0, other, "another problem"), (5, 5.0, other, "another problem")
-    for t, start, x, why in cases:
-        player = ByHand(OcpPlayer())
-        assert fed(player, t * S, *planned(start=start, x=x))["command"] == (0.0, 0.0, 0.0)
-        assert player.reports["plan_refused"][0] is Level.ERROR
-        assert why in player.reports["plan_refused"][1]
-    player = ByHand(OcpPlayer())
-    held = fed(player, 0, *planned())["command"]
-    assert fed(player, 0, *planned(x=(0.02, 0.0, 0.0)))["command"] == held  # the previous plan continues
-
-
 def test_ports_refuse_plans_and_states_of_another_length():
     problem_ports = {p.name: p for p in OcpPlayer.ports(OcpPlayer(problem="scalar", order=8).p)[0]}
     ports = {p.name: p for p in OcpPlayer.ports(OcpPlayer().p)[0]}
     assert problem_ports["plan"].size != ports["plan"].size
     assert problem_ports["state"].channels != ports["state"].channels
-
-
-def test_the_feedback_is_zero_after_the_horizon_and_bounded_in_the_last_period():
-    feedback = ByHand(MomentumFeedback())
-    feedback.update(0, state=STATE)
-    last = feedback.update(99_500_000_000, state=STATE)["command"]
-    assert last == pytest.approx([-m * w for m, w in zip(feedback.block.p.inertia, W0, strict=True)])
-    assert feedback.update(100 * S, state=STATE)["command"] == (0.0, 0.0, 0.0)
 
 
 # Evaluator
@@ -355,14 +265,6 @@ def test_impossible_optima_are_flagged(problem, order, mode, flag):
     assert ("infeasible" in evaluator.reports) == bool(flag)
     if flag:
         assert evaluator.reports["infeasible"][1].startswith("infeasible: not an optimum")
-
-
-def test_a_cost_below_the_least_is_flagged_whatever_the_residual():
-    evaluator = ByHand(OcpEvaluator())
-    plan, about = planned()
-    text = (*about[:3], 0.00467886, *about[4:])
-    evaluator.update(0, state=STATE, command=(0.0, 0.0, 0.0), plan=plan, summary=text)
-    assert evaluator.status()["infeasible"] == (1.0, "")
 
 
 def test_a_plan_for_the_remaining_time_starts_warm():

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 from conftest import differences, few, in_process
 from hypothesis import given, settings, strategies as st
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
-from scipy.special import lambertw
 from simulated import SimulatedRig, World
 from softrig_bringup.study.definition import load_study, make_study
 from softrig_bringup.study.draw import cases
@@ -46,7 +43,6 @@ from softrig_power.pv.figures import POWER
 from softrig_power.pv.module import ModuleParams, cell
 from softrig_power.pv.mppt import MpptOptimiser
 from softrig_power.pv.plant import PvPlant
-from softrig_power.pv.shading import ShadingSource
 from softrig_power.pv.string import characteristic
 
 MODULE, CONVERTER = ModuleParams(), ConverterParams()
@@ -124,39 +120,6 @@ def test_currents_too_large_for_the_fine_tolerance_are_found():
     assert c.I_ph - c.I_0 * math.expm1(junction / c.aV_t) - junction / c.R_p == pytest.approx(actual, rel=1e-12)
 
 
-def exact_voltage(i, irradiance, temperature):
-    """String voltage by the Lambert W function, independent of the package except for the parameters' values."""
-    total = 0.0
-    for g, t in zip(irradiance, temperature, strict=True):
-        dT, nVt = t - 25.0, 1.30 * 36 * 1.380649e-23 * (t + 273.15) / 1.602176634e-19
-        photo = (3.8 + 2.47e-3 * dT) * g / 1000.0
-        dark = (3.8 + 2.47e-3 * dT) / math.expm1((21.1 - 0.080 * dT) / nVt)
-        c = photo + dark - i
-        log = math.log(dark * 643.0 / nVt) + c * 643.0 / nVt
-        w = lambertw(math.exp(log)).real if log < 500.0 else log - math.log(log) + math.log(log) / log
-        for _ in range(4):  # Newton on w + ln w = log, for arguments whose exponential overflows
-            w -= (w + math.log(w) - log) * w / (1.0 + w) if w > 1e-300 else 0.0
-        total += max(c * 643.0 - nVt * w - 0.235 * i, -0.8)
-    return total
-
-
-@pytest.mark.parametrize(
-    ("irradiance", "temperature"), few([(PATTERN1, ROOM), (PATTERN2, (40.0, 60.0, -10.0, 25.0)), (UNIFORM, ROOM)], 2)
-)
-def test_string_against_lambert_w(irradiance, temperature):
-    """The table inverts the exact voltage, and the peak powers agree to 1e-3 W."""
-    source = string(irradiance, temperature)
-    for k in range(50, 20001, 333):
-        v, i = float(source.v[k]), float(source.i[k])
-        if i > 1e-6:
-            actual = brentq(lambda x: exact_voltage(x, irradiance, temperature) - v, 1e-9, 4.5, xtol=1e-12)  # noqa: B023
-            assert i == pytest.approx(actual, abs=1e-7)
-    for peak in source.peaks:
-        currents = np.linspace(0.95 * peak.i, min(1.05 * peak.i, 0.9999 * float(source.current(0.0))), 2001)
-        best = max(x * exact_voltage(x, irradiance, temperature) for x in currents)
-        assert peak.p == pytest.approx(best, abs=1e-3)
-
-
 @pytest.mark.long
 @given(
     st.lists(st.sampled_from([0.0, 1e-3, 30.0, 400.0, 400.5, 1000.0, 1500.0]), min_size=4, max_size=4),
@@ -178,17 +141,6 @@ def test_dark_and_bypassed_modules():
     three = string((1000.0, 800.0, 600.0, 0.0)).gmpp
     lit = characteristic(MODULE, (1000.0, 800.0, 600.0), (25.0,) * 3)
     assert three.p == pytest.approx(lit.gmpp.p - 0.8 * three.i, rel=1e-3)
-
-
-def test_load_line_meets_the_characteristic():
-    """(v, i) under a resistance is on the exact curve, from short to open circuit."""
-    source = string(PATTERN2)
-    R = np.geomspace(0.5, 5e4, 60)
-    v, i = source.under_load(R)
-    assert v == pytest.approx(R * i, rel=1e-12)
-    for vk, ik in zip(v, i, strict=True):
-        assert source.current(float(vk)) == pytest.approx(ik, abs=1e-9)
-    assert np.all(np.diff(v) > 0.0)
 
 
 # the converter --------------------------------------------------------------------------------------------------
@@ -219,22 +171,6 @@ def test_efficiency_at_the_maximum():
     x = steady_state(CONVERTER, string(PATTERN1), duty_for(CONVERTER, 52.937 / 2.2))
     assert x.v_o**2 / 35.0 == pytest.approx(112.47, abs=0.02)
     assert (x.i_L, x.v_o) == pytest.approx((3.993, 62.74), abs=0.01)
-
-
-def test_averaged_model_against_an_independent_integrator():
-    """A step without diode events, with the current solved from the exact equations at every call."""
-    source, d = string(UNIFORM), 0.6
-    start = steady_state(CONVERTER, source, 0.55)
-
-    def slope(t, x):
-        v, i, o = x
-        pv = brentq(lambda a: exact_voltage(a, UNIFORM, ROOM) - v, -1.0, 3.9, xtol=1e-13)
-        return [(pv - d * i) / 470e-6, (d * v - (1 - d) * o - 0.25 * i) / 1e-3, ((1 - d) * i - o / 35.0) / 220e-6]
-
-    exact = solve_ivp(slope, (0.0, 0.01), start, method="DOP853", rtol=1e-8, atol=1e-8).y[:, -1]
-    x = Converter(CONVERTER).step(start, source, d, 2e-5, 500)
-    assert x == pytest.approx(exact, abs=1e-4)
-    assert abs(x.v - start.v) > 1.0
 
 
 @pytest.mark.parametrize(("before", "after", "peak"), [(0.4, 0.551, 16.5), (0.1, 0.9, 49.1), (0.82, 0.44, 4.33)])
@@ -581,43 +517,6 @@ def test_the_tracker_does_not_use_the_plant():
     assert not {"module", "converter", "irradiance", "R_L"} & set(MpptOptimiser.Params.model_fields)
 
 
-def test_curves_on_request():
-    node = ByHand(PvCurves(n_points=101))
-    first = np.reshape(node.update(0, environment=None, request=None)["curves"], (3, 101))
-    assert first[2] == pytest.approx(first[0] * first[1])
-    assert first[2].max() == pytest.approx(116.46, abs=0.3)
-    assert first[1][-1] == pytest.approx(0.0, abs=1e-5)
-    shaded = PATTERN2 + ROOM
-    assert np.reshape(node.update(0, environment=shaded, request=None)["curves"], (3, 101)) == pytest.approx(first)
-    pressed = np.reshape(node.update(0, environment=shaded, request=(1.0,))["curves"], (3, 101))
-    assert pressed[2].max() == pytest.approx(98.22, abs=0.3)
-    held = node.update(0, environment=UNIFORM + ROOM, request=(1.0,))["curves"]
-    assert np.reshape(held, (3, 101)) == pytest.approx(pressed)
-
-
-def test_shading_patterns_change_in_time():
-    source = ByHand(
-        ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=(25.0, 30.0, 35.0, 40.0))
-    )
-    assert source.update(1_999_999_999)["environment"] == (*PATTERN1, 25.0, 30.0, 35.0, 40.0)
-    assert source.update(2_000_000_000)["environment"] == (*UNIFORM, 25.0, 30.0, 35.0, 40.0)
-    warmer = ByHand(ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=ROOM + (50.0,) * 4))
-    assert warmer.update(0)["environment"] == PATTERN1 + ROOM
-    assert warmer.update(2_000_000_000)["environment"] == UNIFORM + (50.0,) * 4
-
-
-def test_fluctuation_is_drawn_once_a_run():
-    source = ByHand(ShadingSource(fluctuation=0.15))
-    source.reset(1)
-    first = source.update(0)["environment"]
-    assert source.update(10**9)["environment"] == first
-    factors = np.array(first) / np.array(PATTERN1 + ROOM)
-    assert np.all(np.abs(factors - 1.0) <= 0.15)
-    assert len(set(factors.round(9))) == 8
-    source.reset(2)
-    assert source.update(0)["environment"] != first
-
-
 @pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients", "pv_mppt_s5_cloud"])
 def test_going_back_during_a_search_repeats_it(name):
     """Three times from the same tick: a search with an older state gets its earlier results again."""
@@ -639,17 +538,6 @@ def test_going_back_during_a_search_repeats_it(name):
 
 
 # bad input ------------------------------------------------------------------------------------------------------
-
-
-def test_bad_duty():
-    """Outside the limits: clipped. (One that is not finite never reaches the plant.)"""
-    plant, twin = ByHand(PvPlant()), ByHand(PvPlant())
-    for duty, meant, level in ((0.5, 0.5, None), (1.7, 0.9, Level.WARN), (-1.0, 0.1, Level.WARN)):
-        plant.reports.clear()
-        plant.advance(0, duty=(duty,), environment=None)
-        twin.advance(0, duty=(meant,), environment=None)
-        assert plant.x == twin.x
-        assert (plant.reports["duty"][0] if plant.reports else None) == level
 
 
 @pytest.mark.parametrize(("gap", "stale"), [(0.15, False), (0.3, True)])

@@ -32,7 +32,7 @@ from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor
 from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, constants, run_pendulum
 from softrig_systems.pwa_delay.params import BENCHMARK
 from softrig_systems.pwa_delay.plants import PendulumPlant, SwitchedDelayPlant, TankPlant
-from softrig_systems.pwa_delay.profiles import delay_at, profile
+from softrig_systems.pwa_delay.profiles import profile
 from softrig_systems.pwa_delay.proof.applicability import NotApplicable, require_no_sliding
 from softrig_systems.pwa_delay.proof.bessel_legendre import bessel_legendre
 from softrig_systems.pwa_delay.proof.certify import Criterion, certified_margin, certify
@@ -47,7 +47,6 @@ from softrig_systems.pwa_delay.search import (
     simulate_tank,
 )
 from softrig_systems.pwa_delay.system import (
-    BadSystem,
     PwaSystem,
     continuous_tank,
     from_lines,
@@ -527,21 +526,6 @@ def test_motion_agrees_with_an_adaptive_solver_of_delay_equations(tmp_path, monk
         assert result.x == pytest.approx(exact, abs=1e-6)
 
 
-def test_profiles():
-    sine, jumps = profile("sine", 2.0, 0.3), profile("telegraph", 2.0, seed=3, horizon=500.0)
-    t = np.linspace(0.0, 100.0, 20001)
-    d = np.array([delay_at(sine, s) for s in t])
-    assert d.min() >= 0.0
-    assert d.max() <= 2.0
-    assert np.abs(np.diff(d) / np.diff(t)).max() == pytest.approx(0.3, rel=1e-4)
-    assert {delay_at(jumps, s) for s in t} == {0.0, 2.0}
-    assert delay_at(profile("constant", 2.0), 5.0) == 2.0
-    assert [delay_at(profile(kind, 0.0), 5.0) for kind in ("constant", "sine", "telegraph")] == [0.0] * 3
-    for bad in ((-1.0, 0.0), (math.nan, 0.0), (1.0, -0.1)):
-        with pytest.raises(ValueError, match="expected finite"):
-            profile("sine", *bad)
-
-
 # C7: over topics; C8
 
 
@@ -670,28 +654,6 @@ def cells(**changes):
     return PwaSystem(**parts)
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"Ad": switched().Ad[:3]}, "3 matrices Ad for 4 cells"),
-        ({"Ad": (*switched().Ad[:3], np.eye(3))}, r"Ad of cell 3 has the shape \(3, 3\), expected \(2, 2\)"),
-        ({"A": (*switched().A[:3], np.full((2, 2), np.nan))}, "A of cell 3 is not finite"),
-        ({"E": (switched().E[1], *switched().E[1:])}, "cells 0 and 1 overlap at"),
-        (
-            {
-                "E": (*switched().E[:3], np.vstack([switched().E[3], [1.0, 0.0, -1.0, 0.0]])),
-                "e": (*switched().e[:3], np.zeros(3)),
-            },
-            "the cells leave a gap",
-        ),
-        ({"F": (2.0 * switched().F[0], *switched().F[1:])}, r"features of cells 0 and \d differ by .* on their face"),
-    ],
-)
-def test_bad_systems_are_refused(changes, reason):
-    with pytest.raises(BadSystem, match=reason):
-        cells(**changes)
-
-
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
 def test_faces_of_cells_do_not_depend_on_the_scaling_of_inequalities(scale):
     """Three strips, the middle one 0.5 wide: a face is between two neighbours, and no check skips a strip."""
@@ -779,13 +741,6 @@ def test_a_change_of_the_delay_moves_the_margin():
     assert math.log(late / early) / 40.0 == pytest.approx(0.021239, abs=2e-3)  # of peaks in windows
 
 
-def test_delay_line_interpolates_and_begins_with_the_first_value():
-    line = ByHand(DelayLine(delay=0.0025))
-    results = [line.update(k * 10**6, state=(float(k), -float(k)))["delayed"][0] for k in range(6)]
-    assert results == pytest.approx([0.0, 0.0, 0.0, 0.5, 1.5, 2.5])
-    assert line.refused(6 * 10**6)["delayed"] == pytest.approx((3.5, -3.5))
-
-
 @pytest.mark.parametrize("controller", [TankController, PendulumController])
 def test_controllers_hold_their_command_without_a_state(controller):
     law = ByHand(controller())
@@ -793,13 +748,6 @@ def test_controllers_hold_their_command_without_a_state(controller):
     assert law.refused(0) is None  # the last output is held
     what, held = ("level", "inflow") if controller is TankController else ("state", "torque")
     assert law.reports == {f"bad_{what}": (Level.ERROR, f"no valid {what}: the last {held} is held", 1)}
-
-
-def test_laws_of_tank_and_pendulum():
-    assert ByHand(TankController()).update(0, level=(0.4,))["inflow"] == pytest.approx((800.0,))
-    assert ByHand(TankController()).update(0, level=(0.5,))["inflow"] == pytest.approx((-500.0,))
-    assert ByHand(PendulumController()).update(0, state=(-0.1, 0.3))["torque"] == pytest.approx((-0.2,))
-    assert ByHand(PendulumController()).update(0, state=(0.1, 0.3))["torque"] == pytest.approx((-2.0,))
 
 
 def test_a_monitor_that_is_too_coarse_reports_it():

@@ -16,10 +16,8 @@ from conftest import few
 from hypothesis import given, strategies as st
 from pages.drawn import rectifier_mpc as pictures
 from scipy import linalg, signal
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import jv
-from softrig_control.limit_cycle import Swinging, limit_cycle
 from softrig_control.nodes.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
 from softrig_control.predictive.certificate import assess, certify
@@ -40,14 +38,11 @@ from softrig_core import (
 from softrig_core.block.codec import Decoder
 from softrig_core.verdict.findings import findings, values
 from softrig_core.wire.cdr import Layout
-from softrig_power.rectifier.averaged import ode_abc
-from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
+from softrig_power.rectifier.circuit import SPWM, Circuit, Period, grid
 from softrig_power.rectifier.models import SEED19_DEN, SEED19_NUM, d2, linearised, n3, seed19
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_power.rectifier.ports import DC_LINK, POWER_QUALITY, V_DROP, events
-from softrig_power.rectifier.quality import FIGURES
-from softrig_power.rectifier.switched import carrier, modulation
 
 T = 0.83e-3
 CONSTANTS = RectifierConstants()
@@ -362,29 +357,6 @@ def test_anti_windup(solver):
     assert back[0][0] < 3.0
 
 
-def test_bad_samples_hold_then_trip_permanently():
-    law = ByHand(GpcController(set_point=400.0, u_safe=-1.5))
-    last = law.update(0, measured=(10.0,), reference=None)["command"]
-    for k in (1, 2):
-        answer = law.refused(k)
-        assert (answer["command"], answer["health"][0]) == (last, 2.0)
-    last = law.update(3, measured=(10.0,), reference=None)["command"]
-    assert [law.refused(k)["command"] for k in (4, 5, 6)] == [last, last, (-1.5,)]
-    assert law.reports["bad_input"][::2] == (Level.ERROR, 5)
-    assert law.update(7, measured=(10.0,), reference=None) == {"command": (-1.5,), "health": (3.0, 0.0, 0.0)}
-    assert law.reports["trip"][0] == Level.ERROR
-
-
-@pytest.mark.parametrize("y", [50.0, 600.1])
-def test_a_voltage_out_of_range_trips(y):
-    law = ByHand(GpcController(set_point=400.0, trip_low=50.0, trip_high=600.0))
-    law.update(0, measured=(600.0,), reference=None)
-    assert not law.x.tripped
-    assert law.update(1, measured=(y,), reference=None)["command"] == (0.0,)
-    assert law.x.tripped
-    assert law.reports["trip"][0] == Level.ERROR
-
-
 def test_inverse():
     m = np.array(Gpc(n3(CONSTANTS, T), Tuning(moves=4, weight=3.0)).hessian)
     np.testing.assert_allclose(np.array(invert(m)) @ m, np.eye(4), atol=1e-12)
@@ -428,23 +400,6 @@ def test_models_agree_on_every_event():
     assert np.abs(switched - dq)[:, :3].max() < 4.0
 
 
-def test_averaged_model_agrees_with_an_adaptive_solver():
-    c = CONSTANTS
-    circuit = Circuit.of(c.omega, c.L, c.R, c.C, c.phi)
-    period = Period(0.0, 0.02, 200.0, 20.0, 9.0, SPWM, 0.0, False, 0.0, 35.0)
-
-    def slope(t, x):
-        dx = np.zeros(4)
-        ode_abc(t, x, (circuit, period), dx)
-        return dx
-
-    start = np.array([*phases(c.current, 0.0, 0.0), 400.0])
-    exact = solve_ivp(slope, (0, 0.02), start, method="DOP853", rtol=1e-11, atol=1e-9, max_step=1e-4).y[:, -1]
-    plant = ByHand(RectifierPlant(model="averaged_abc", period=0.02))
-    plant.advance(0, command=(35.0,), events=(9.0, 200.0, 20.0))
-    np.testing.assert_allclose(moving(plant), exact, atol=1e-6)
-
-
 def test_the_equilibrium_is_at_rest():
     plant = ByHand(RectifierPlant())
     run_held(plant, 200)
@@ -459,17 +414,6 @@ def test_a_collapsing_voltage_stops_the_converter():
     plant.advance(NS, command=(CONSTANTS.drop,), events=None)  # whatever is commanded
     assert plant.reports["off"] == (Level.WARN, "switches off: the diodes carry the current", 1)
     assert plant.reports["collapse"][2] == 1
-
-
-def test_linear_model_is_the_slope_of_the_plant():
-    """N3 against a small step of the nonlinear plant."""
-    response = _step_response(n3(CONSTANTS, T), 11)
-    plant = ByHand(RectifierPlant())
-    results = []
-    for k in range(11):
-        plant.advance(k * NS, command=(CONSTANTS.drop + 1e-4,), events=None)
-        results.append((plant.x.v - 400.0) / 1e-4)
-    assert results == pytest.approx(response, abs=1e-3)
 
 
 def test_decoupled_current_follows_its_ramp_exactly():
@@ -494,72 +438,6 @@ def test_switching_harmonics_are_those_of_the_double_fourier_series(carrier_hz, 
     assert result["current"] == pytest.approx(CONSTANTS.current, abs=0.01)
 
 
-def test_edges_are_exact_whatever_the_internal_step():
-    fine, coarse = (ByHand(RectifierPlant(model="switched", substep=h)) for h in (2e-6, 5e-5))
-    a, b = (run_held(plant, 130) for plant in (fine, coarse))
-    assert moving(fine) == pytest.approx(moving(coarse), abs=2e-3)
-    assert a["thd"] == pytest.approx(b["thd"], abs=1e-4)
-    default = ByHand(RectifierPlant(model="switched"))
-    run_held(default, 130)
-    assert moving(fine) == pytest.approx(moving(default), abs=1e-5)
-
-
-@pytest.mark.long
-def test_edges_against_a_fine_comparison():
-    """Phase current over some carrier periods against a comparator sampled every 5 ns, without the plant's code."""
-    c = CONSTANTS
-    plant = ByHand(RectifierPlant(model="switched", period=2e-4, v_start=400.0))
-    plant.advance(0, command=(c.drop,), events=None)
-    n, h = 40_000, 5e-9
-    i, v = np.array(phases(c.current, 0.0, 0.0)), 400.0
-    shift = -2 * np.pi / 3 * np.arange(3)
-    for k in range(n):
-        t = (k + 0.5) * h
-        angle = c.omega * t + shift
-        m = 2 * (c.V_g * np.sin(angle) - c.drop * np.sin(angle + c.phi)) / v
-        z = 4e4 * t % 4
-        s = (m > (z - 1 if z < 2 else 3 - z)) * 1.0
-        i, v = i + h / c.L * (c.V_g * np.sin(angle) - c.R * i - (s - s.mean()) * v), v + h / c.C * (s @ i - v / c.R_L)
-    assert moving(plant) == pytest.approx((*i, v), abs=5e-3)
-
-
-def test_modulator_limits_keep_the_angle():
-    c = CONSTANTS
-    circuit = Circuit.of(c.omega, c.L, c.R, c.C, c.phi)
-    for reach, injection in ((SPWM, False), (INJECTION, True)):
-        period = Period(0.0, T, 300.0, 0.0, 16.0, reach, 0.0, False, 0.0, 30.0)
-        free = period._replace(reach=10.0)
-        for t in np.linspace(0, 1 / 60, 50):
-            m = np.array(modulation(t, 400.0, circuit, period, injection))
-            wanted = np.array(modulation(t, 400.0, circuit, free, False))
-            assert np.abs(m).max() <= 1.0 + 1e-12
-            centred = m - m.mean()
-            size = np.sqrt((centred**2).sum() * 2 / 3)
-            assert size == pytest.approx(reach, rel=1e-12)
-            assert centred @ wanted == pytest.approx(np.linalg.norm(centred) * np.linalg.norm(wanted), rel=1e-12)
-    assert [carrier(t, 1e4, h) for t, h in ((0.0, 0), (5e-5, 0), (5e-5, 1), (1e-4, 1))] == pytest.approx([-1, 1, 1, -1])
-
-
-def test_power_quality_of_known_signals():
-    """Averaged plant at rest under a fifth harmonic: the figures against a transform of its waveform."""
-    plant = ByHand(RectifierPlant(model="averaged_abc", waveform=True))
-    rows, events = [], (16.0, 180.0, 36.0)
-    for k in range(483):
-        plant.advance(k * NS, command=(CONSTANTS.drop,), events=events)
-        rows.append(np.array(plant.outputs((k + 1) * NS)["waveform"]).reshape(83, 5))
-    trace = np.concatenate(rows)[30_000 - 1 : 40_000 - 1]  # 0.3 to 0.4 s at 10 us
-    spectrum = np.abs(np.fft.rfft(trace, axis=0)) * 2 / len(trace)
-    results = dict(zip(FIGURES, plant.outputs(0)["power_quality"], strict=True))
-    assert results["windows"] == 4.0
-    assert results["current"] == pytest.approx(spectrum[6, :3].mean(), rel=1e-6)
-    assert results["current_5"] == pytest.approx(np.sqrt((spectrum[30, :3] ** 2).mean()), rel=1e-6)
-    assert results["voltage_6"] == pytest.approx(spectrum[36, 4], rel=1e-6)
-    assert results["ripple"] == pytest.approx(np.ptp(trace[:, 4]), rel=1e-6)
-    i, v = trace[:, 0], trace[:, 3]
-    assert results["pf"] == pytest.approx((i * v).mean() / np.sqrt((i**2).mean() * (v**2).mean()), rel=1e-4)
-    assert results["current_5"] == pytest.approx(36 / abs(0.1 + 5j * CONSTANTS.omega * CONSTANTS.L), rel=0.12)
-
-
 def test_the_grid_has_its_stated_values():
     c = CONSTANTS
     period = Period(0.0, T, 180.0, 36.0, 16.0, SPWM, 0.0, False, 0.0, 0.0)
@@ -577,19 +455,6 @@ def test_event_takes_effect_in_the_first_period_at_or_after_it():
     v = signals["dc_link/voltage/position"]
     assert np.abs(v.x[v.t <= first + 1e-9] - 400).max() < 1e-6
     assert v.x[182] < 390
-
-
-def test_impossible_events_are_refused_and_the_last_good_ones_hold():
-    plant = ByHand(RectifierPlant())
-    plant.advance(0, command=(CONSTANTS.drop,), events=(8.0, 180.0, 0.0))
-    reference = ByHand(RectifierPlant())
-    reference.advance(0, command=(CONSTANTS.drop,), events=(8.0, 180.0, 0.0))
-    for k in (1, 2):
-        plant.advance(k * NS, command=(CONSTANTS.drop,), events=(-1.0, 180.0, 0.0))
-        reference.advance(k * NS, command=(CONSTANTS.drop,), events=None)
-    assert plant.x == reference.x
-    assert plant.reports["bad_event"][0] == Level.ERROR
-    assert plant.reports["bad_event"][2] == 2
 
 
 def off(plant, ticks):
@@ -645,17 +510,6 @@ def test_a_trip_in_the_rig_leaves_the_link_to_the_diodes():
     assert "off" in run.blocks["rectifier_plant"].reports
 
 
-def test_changed_constants_begin_at_their_own_operating_point():
-    plant = ByHand(RectifierPlant(R_L=32.0, V_g=200.0))
-    assert plant.x.i_d == plant.block.p.current == pytest.approx(16.808, abs=0.001)
-    assert RectifierPlant().first().i_d == 37.83218957482916
-    v = [plant.outputs(0)["dc_link"][0]]
-    for k in range(20):
-        plant.advance(k * NS, command=(plant.block.p.drop,), events=None)
-        v.append(plant.outputs((k + 1) * NS)["dc_link"][0])
-    assert v == pytest.approx([400.0] * len(v), abs=1e-6)
-
-
 def test_a_limit_cycle_is_reported():
     """A weight that is too small lets the loop collapse into a cycle at 250 V; loops that settle are not reported."""
     law = simulate("rectifier_mpc", overrides={"gpc_controller.lam": 5.0}).blocks["gpc_controller"]
@@ -669,24 +523,6 @@ def test_a_limit_cycle_is_reported():
         "rectifier_mpc_decoupled",
     ):
         assert "limit_cycle" not in run_of(name).blocks["gpc_controller"].reports
-
-
-def test_limit_cycles_are_recognised_as_expected():
-    def swing(signal):
-        x, result = Swinging(), []
-        for y in signal:
-            x, size = limit_cycle(x, float(y), 1.0)
-            result.append(size)
-        return result
-
-    t = np.arange(2000) * 1e-2
-    assert swing(1.0 + 0.1 * np.sin(t * 6.0))[-1] == pytest.approx(0.2, rel=0.01)
-    assert swing(0.6 + 0.1 * np.sin(t * 6.0))[-1] == pytest.approx(0.2, rel=0.01)  # far from the reference as well
-    assert max(swing(1.0 + 0.009 * np.sin(t * 6.0))) == 0.0
-    assert max(swing(1.0 + np.exp(-0.2 * t) * np.sin(t * 6.0))) == 0.0
-    stopped = swing(np.where(t < 10.0, 1.0 + 0.1 * np.sin(t * 6.0), 1.0))
-    assert max(stopped) > 0.0
-    assert stopped[-1] == 0.0
 
 
 @pytest.mark.parametrize("command", [1e6, -1e6])
@@ -786,15 +622,6 @@ def test_an_event_may_carry_one_channel():
     assert decode(channel.layout().encode(0, (36.0,)))[1] == (16.0, 180.0, 36.0)
 
 
-def test_a_late_command_is_held_with_a_warning():
-    plant = ByHand(RectifierPlant())
-    for periods, warned in ((5, False), (6, True)):
-        plant.block.ages = lambda name, age=periods: age * NS
-        plant.advance(0, command=(CONSTANTS.drop,), events=None)
-        assert ("late" in plant.reports) == warned
-    assert RectifierPlant.STALE_PERIODS == 20
-
-
 @pytest.mark.long
 def test_pictures_run(tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "PICTURES", {"load_steps": pictures.load_steps})
@@ -813,20 +640,3 @@ def test_lines_of_the_spectrum_are_the_carriers_sidebands():
         bessel = abs(jv(k, n * math.pi * m / 2.0))
         line = 400.0 * 2.0 / (n * math.pi) * bessel / (2.0 * math.pi * at * c.L)
         assert amplitude[np.argmin(np.abs(f - at))] == pytest.approx(line, rel=0.02), (n, k)
-
-
-def test_time_may_jump():
-    """Realtime skips a pause of the host: the open power-quality window is dropped, the next complete one counts."""
-    plant = ByHand(RectifierPlant(model="switched"))
-    run_held(plant, 60)
-    for k in range(60, 301):
-        t = k * NS + 7_770_000_000
-        assert all(math.isfinite(x) for x in plant.outputs(t)["power_quality"])
-        plant.advance(t, command=(CONSTANTS.drop,), events=None)
-    results = dict(zip(FIGURES, plant.outputs(t)["power_quality"], strict=True))
-    assert results["windows"] == 80.0
-    assert results["current"] == pytest.approx(CONSTANTS.current, rel=0.05)
-    short = ByHand(RectifierPlant())
-    for k in range(100):  # from the middle of a window to a tenth of a window beyond its end
-        short.advance(k * NS + 50_000_000, command=(CONSTANTS.drop,), events=None)
-    assert short.outputs(0)["power_quality"][0] == 0.0

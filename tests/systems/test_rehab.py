@@ -32,11 +32,9 @@ from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.rehab.computation import PUBLISHED, computation_times
 from softrig_robots.rehab.controller import VoltageController
-from softrig_robots.rehab.emvc import Emvc, EmvcGains
 from softrig_robots.rehab.figures import repeatability
 from softrig_robots.rehab.impedance import Impedance
 from softrig_robots.rehab.model import JOINTS, foot_jacobian, rehab_urdf
-from softrig_robots.rehab.patient import Patient
 from softrig_robots.rehab.plant import RehabPlant
 from softrig_robots.rehab.prom import PromReference
 from softrig_robots.rehab.stability import alpha_hat_limit
@@ -568,17 +566,6 @@ def impedance_run(force, ticks, block=None, start=0):
     return block, np.array(results)
 
 
-def test_impedance_is_a_second_order_filter_of_the_force():
-    _, result = impedance_run((12.0, 0.0, 5.0), 1500)
-    x1, x2, z1, z2 = foot_jacobian(0.5, -0.5, 0.5, 0.45)
-    torque = np.array([12.0 * x1 + 5.0 * z1, 12.0 * x2 + 5.0 * z2])
-    t = np.arange(1500) * 1e-3
-    for i, remaining in enumerate((0.5, -0.5)):
-        expected = remaining - torque[i] / 100.0 * (1.0 - (1.0 + 10.0 * t) * np.exp(-10.0 * t))
-        np.testing.assert_allclose(result[:, i], expected, atol=2e-3 * abs(torque[i]) / 100.0 * 5)
-    assert np.array_equal(impedance_run(None, 10)[1][:, :2], np.tile([0.5, -0.5], (10, 1)))
-
-
 def test_stiffness_changes_without_a_jump():
     block, before = impedance_run((12.0, 0.0, 0.0), 1000)
     force = Sample(1_000_000_000, (12.0, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -686,36 +673,6 @@ def test_references_rejected_permanently_give_0_volt_or_a_stop(law):
         assert block.refused(0) is None
 
 
-@pytest.mark.parametrize("lost", ["joint_states", "motor_states"])
-def test_lost_states_give_0_volt_whatever_the_reference(lost):
-    block = ByHand(VoltageController(reference_lost="hold"))
-    block.block.ages = {lost: 21_000_000}.get
-    outputs = block.update(0, joint_states=(0.2, -0.5, 0.0, 0.0), motor_states=(0.5, 0.2), applied_voltage=(2.0, 1.0),
-                           reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0))  # fmt: skip
-    assert outputs["motor_command"] == (0.0, 0.0)
-    assert block.reports["SAFE"][1] == f"SAFE: no new {lost} for more than 20 periods: 0 V"
-
-
-def test_a_large_force_is_limited_with_a_warning():
-    for limited, same in (((500.0, 0.0, 0.0), (200.0, 0.0, 0.0)), ((300.0, 0.0, -400.0), (120.0, 0.0, -160.0))):
-        block, result = impedance_run(limited, 20)
-        np.testing.assert_allclose(result, impedance_run(same, 20)[1], atol=1e-15)
-        assert block.reports["force"][0] == Level.WARN
-    plants = [ByHand(RehabPlant()), ByHand(RehabPlant())]
-    for plant, force in zip(plants, (500.0, 200.0), strict=True):
-        plant.advance(0, motor_command=(0.0, 0.0), patient_force=(force, 0.0, 0.0, 0.0, 0.0, 0.0))
-    assert plants[0].x == plants[1].x
-    assert "force" in plants[0].reports
-    assert "force" not in plants[1].reports
-
-
-def test_patient_pushes_in_its_window():
-    patient = ByHand(Patient())
-    for t, expected in ((4.9, 0.0), (5.0, 0.0), (5.5, 10.0), (6.0, 20.0), (7.0, 0.0), (16.0, 20.0)):
-        force = patient.update(round(t * 1e9))["patient_force"]
-        assert force == pytest.approx((expected, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-12)
-
-
 # safety and bad input --------------------------------------------------------------------------------------------
 
 
@@ -734,17 +691,6 @@ def test_joint_outside_its_range_stops_the_robot():
     assert plant.outputs(0)["applied_voltage"] == (0.0, 0.0)
     plant.reset(0)
     assert not plant.x.safe
-
-
-def test_fast_joint_stops_the_robot_after_the_start():
-    plant = ByHand(RehabPlant(startup=0.05, rom_speed=0.5, position=[0.0, -1.0]))
-    stopped = None
-    for k in range(200):
-        plant.advance(k * 1_000_000, motor_command=(0.0, 6.0))
-        stopped = k if plant.x.safe and stopped is None else stopped
-    assert stopped is not None
-    assert stopped >= 50
-    assert "limit 0.5 rad/s" in plant.reports["safe"][1]
 
 
 @pytest.mark.parametrize("alone", few([0, 4, 10], 1))
@@ -777,25 +723,3 @@ def test_an_inconsistent_motor_table_is_reported_at_the_start(side, warns):
     plant = ByHand(RehabPlant(torque_constant_side=side))
     assert plant.block.torque_per_ampere == ((69.12,) * 2 if side == "motor" else (4.32,) * 2)
     assert ("torque_constant" in plant.reports) == warns
-
-
-def test_start_outside_the_range_can_be_allowed():
-    outside = {"position": [-0.7, -1.0], "start_outside": True}  # 10 degrees
-    plant = ByHand(RehabPlant(**outside))
-    for k in range(300):
-        plant.advance(k * 1_000_000, motor_command=(6.0 if k < 200 else -24.0, 0.0))
-        if k == 199:
-            assert plant.x.q[0] > math.radians(-30.0)
-            assert not plant.x.safe
-    for k in range(300, 1500):
-        plant.advance(k * 1_000_000, motor_command=(-24.0, 0.0))
-    assert plant.x.safe  # the position was inside its range before
-    assert "hip at " in plant.reports["safe"][1]
-
-
-def test_emvc_equals_an_independent_implementation():
-    law = Emvc(EmvcGains(alpha_hat=2.0, lam=3.0, resistance=5.0).of_joint("emvc", 0, 1), T=1e-3, v_max=24.0)
-    # psi = (1 - 5*0.1)/2 - 0.4 = -0.15, V = 0.5 + 2*(0.6 + 3*0.2 - 0.15)
-    x, V = law(law.first(), q=0.3, qd=0.4, current=0.1, ref=0.5, ref_d=0.6, ref_dd=0.0, V=1.0)
-    assert (x.psi, V) == pytest.approx((-0.15, 2.6))
-    assert law(x, q=-9.0, qd=0.0, current=0.0, ref=0.0, ref_d=0.0, ref_dd=0.0, V=0.0)[1] == 24.0
