@@ -199,7 +199,7 @@ def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
         "period": str(rig.clock.schedule.period),
         "bag": str(run.bag),
         "until": until,
-        "inputs": [_text(port) for port in inputs],
+        "inputs": [written(port) for port in inputs],
     }
     return {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}} if inputs else {}
 
@@ -214,10 +214,6 @@ def from_outside(rig: Rig, recording: Recording) -> list[Port]:
             if not member.external and (link is None or link.source.external) and topic is not None and topic.number:
                 results.setdefault(port.topic, replace(port, name=f"input_{len(results) + 1}"))
     return list(results.values())
-
-
-def _text(port: Port) -> str:
-    return written(port)
 
 
 # the results of a repetition -------------------------------------------------------------------------------------

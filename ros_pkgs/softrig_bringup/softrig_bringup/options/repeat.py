@@ -81,8 +81,3 @@ def for_reader(command: str) -> str:
         shipped = word.endswith(".yaml") and Path(word).parent.parts[-2:] == ("config", "scenarios")
         result.append(Path(word).stem if shipped else os.path.basename(word.rstrip("/")) if word[:1] == "/" else word)
     return shlex.join(result)
-
-
-def joined(parts: Iterable[str]) -> str:
-    """Join words for a shell."""
-    return shlex.join(parts)

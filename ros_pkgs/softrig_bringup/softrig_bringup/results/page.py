@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -13,7 +14,7 @@ from softrig_core.judge.claims import VERDICTS
 from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.findings import Finding
 
-from ..options.repeat import joined, scenario_word, words
+from ..options.repeat import scenario_word, words
 from ..page.citations import Citation, cited, listed, sources
 from ..page.html import e, mark, page, table
 from ..page.wording import short
@@ -151,9 +152,9 @@ def _cited(scenarios: Sequence[Scenario]) -> tuple[Citation, ...]:
 def command(scenario: str) -> str:
     """Return the command that repeats the measurement of a scenario or study."""
     if scenario in list_studies():
-        return joined(words((), "study", scenario))
+        return shlex.join(words((), "study", scenario))
     nodes = load_scenario(scenario).nodes.values()
-    return joined([*words((n.package for n in nodes), "run"), scenario_word(scenario), "--mode", "inprocess"])
+    return shlex.join([*words((n.package for n in nodes), "run"), scenario_word(scenario), "--mode", "inprocess"])
 
 
 def _run(row: Finding, out: Path | None) -> Element:

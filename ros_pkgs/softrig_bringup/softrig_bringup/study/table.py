@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from softrig_core.judge.expectation import Expectation
 from softrig_core.verdict.findings import Finding, hold
 from softrig_core.verdict.result import Result
 
-from ..options.repeat import joined, scenario_word, words
+from ..options.repeat import scenario_word, words
 from .definition import Study, Summary
 
 Row = Mapping[str, Any]
@@ -70,7 +71,7 @@ def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
         gathered += ["--duration", repr(duration)] if duration is not None else []
         for parameter, value in row["overrides"].items():
             gathered += ["--set", f"{parameter}={value if isinstance(value, str) else json.dumps(value)}"]
-        yield joined(gathered)
+        yield shlex.join(gathered)
 
 
 def label(study: Study, row: Row) -> str:

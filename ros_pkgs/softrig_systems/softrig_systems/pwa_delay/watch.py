@@ -80,7 +80,7 @@ class Watch:
         ValueError
             No cell holds the state.
         """
-        new = self._copy()
+        new = _copied(self)
         return new, evaluate(new.fixed, new.rows, new.slopes, new.values, new.counts, np.array(state), delay)
 
     def begun(self) -> Watch:
@@ -89,14 +89,8 @@ class Watch:
 
     def native(self) -> WatchRows:
         """Convert it to its form for native code."""
-        new = self._copy()
+        new = _copied(self)
         return WatchRows(new.fixed, new.rows, new.slopes, new.values, new.counts)
-
-    def _copy(self) -> Watch:
-        new = object.__new__(Watch)
-        new.fixed, new.rows, new.slopes = self.fixed, self.rows.copy(), self.slopes.copy()
-        new.values, new.counts = self.values.copy(), self.counts.copy()
-        return new
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Watch):
@@ -122,10 +116,14 @@ class WatchRows(NamedTuple):
 
     def python(self) -> Watch:
         """Return its Python form."""
-        new = object.__new__(Watch)
-        new.fixed, new.rows, new.slopes = self.fixed, self.rows.copy(), self.slopes.copy()
-        new.values, new.counts = self.values.copy(), self.counts.copy()
-        return new
+        return _copied(self)
+
+
+def _copied(watch: Watch | WatchRows) -> Watch:
+    new = object.__new__(Watch)
+    new.fixed, new.rows, new.slopes = watch.fixed, watch.rows.copy(), watch.slopes.copy()
+    new.values, new.counts = watch.values.copy(), watch.counts.copy()
+    return new
 
 
 @jit
