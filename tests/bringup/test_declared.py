@@ -47,7 +47,7 @@ SOURCES = {  # modules that a package of another name installs
 }
 COMMON = configparser.ConfigParser()
 COMMON.read(ROOT / "ros_pkgs/softrig_core/setup.cfg")
-STYLE = (ROOT / "ros_pkgs/softrig_core/test/test_style.py").read_text()
+OWN_TESTS = (ROOT / "ros_pkgs/softrig_core/test/test_softrig_core.py").read_text()
 OTHERS = {"motulator", "gym_electric_motor", "jax"}  # compared with where somebody has installed them
 
 
@@ -181,7 +181,8 @@ def test_each_package_stands_alone_with_licence_and_configuration(folder):
     config.read(folder / "setup.cfg")
     assert config["flake8"] == {**COMMON["flake8"]}
     assert "LICENSE" in config["options.data_files"][f"share/{folder.name}"]
-    assert (folder / "test/test_style.py").read_text().replace(folder.name, "softrig_core") == STYLE
+    own = folder / f"test/test_{folder.name}.py"
+    assert own.read_text().replace(folder.name, "softrig_core") == OWN_TESTS
 
 
 def test_the_pip_line_lists_what_the_set_up_installs():

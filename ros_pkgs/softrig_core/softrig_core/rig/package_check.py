@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
+import importlib.util
 from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -19,12 +21,23 @@ from .installed import block_of
 
 TICKS = 3  # of each block
 GROUPS = ("console_scripts", "softrig_figures")
+LINTERS = ("flake8", "pep257")  # of ament; the repository itself has ruff and mypy
+IGNORED = "D100 D104 D105 D107 D203 D205 D213 D400 D401 D406 D407 D413"  # as ruff does, see pyproject.toml
 
 
 def entry_points(package: str) -> list[EntryPoint]:
     """Return the executables and figure functions of a package; entry points of other groups do not count."""
     result = importlib.metadata.distribution(package).entry_points
     return [p for p in result if p.group in GROUPS]
+
+
+def lint(linter: str, package: str) -> int | None:
+    """Run one of `LINTERS` in the folder of a package's sources; return its status, None if it is not installed."""
+    if importlib.util.find_spec(f"ament_{linter}") is None:
+        return None
+    ignored = ["--convention", "numpy", "--add-ignore", *IGNORED.split(), "--", package]
+    arguments = {"flake8": ["--config", "setup.cfg", package, "test"], "pep257": ignored}[linter]
+    return int(importlib.import_module(f"ament_{linter}.main").main(arguments))
 
 
 def check_entry_point(point: EntryPoint) -> str:
