@@ -8,7 +8,7 @@ from xml.etree.ElementTree import tostring
 import numpy as np
 import pytest
 from expected_text import check_expected, page_lines
-from softrig_bringup.page.citations import Citation, _name, _place, _plain, cited, listed, sources
+from softrig_bringup.page.citations import Citation, _name, _plain, _publication, cited, listed, sources
 from softrig_bringup.page.html import e, mark, picture, table
 from softrig_bringup.page.junit import Case, Suite, write_reports
 from softrig_bringup.page.wiring import Wiring, columns
@@ -401,10 +401,10 @@ def test_papers_are_printed_with_their_location():
     assert _name(["Ada", "King"], ["von", "Noël"]) == "A. K. von Noël"
     assert _plain("{A} B--C \\& D") == "A B–C & D"
     where = {"journal": "J", "booktitle": "B", "publisher": "P", "volume": "2", "number": "6", "pages": "1--9"}
-    assert _place(where) == "J 2(6), 1–9"
-    assert _place({k: where[k] for k in ("booktitle", "publisher", "volume")}) == "B 2"
-    assert _place({k: where[k] for k in ("publisher", "number")}) == "P (6)"
-    assert _place({}) == ""
+    assert _publication(where) == "J 2(6), 1–9"
+    assert _publication({k: where[k] for k in ("booktitle", "publisher", "volume")}) == "B 2"
+    assert _publication({k: where[k] for k in ("publisher", "number")}) == "P (6)"
+    assert _publication({}) == ""
     paper = Citation(key="k", authors=("A. B", "C. D"), title="T", year="2020", place="J 2", doi="10/x", bibtex="@x{k}")
     plain = paper.model_copy(update={"doi": "", "place": ""})
     assert listed([paper, plain]) == [

@@ -354,7 +354,7 @@ def options(*words):
 def test_the_exit_status_of_a_run(words, kept, more, status):
     about = {"content": {}, "same": True, "remarks": []} | kept
     run = done(**{"results": JUDGED[:1], "claims": [], "status": {}} | more)
-    assert run_verb._judged(options(*words), run_verb._Kept(**about), run) == status
+    assert run_verb._judged(options(*words), run_verb._Results(**about), run) == status
 
 
 def test_the_text_about_a_machine_that_is_too_slow_is_as_expected(monkeypatch):
@@ -389,7 +389,7 @@ def test_the_text_about_a_machine_that_is_too_slow_is_as_expected(monkeypatch):
 
 def test_a_broken_run_names_its_files_and_a_stopped_one_its_time(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    kept = run_verb._Kept({}, True, ["told so"])
+    kept = run_verb._Results({}, True, ["told so"])
     monkeypatch.setattr(run_verb, "_print_figures", lambda content, run, out: print("figures"))
     monkeypatch.setattr(run_verb, "assumptions", lambda members: ["assumed so"])
     for out, more in (

@@ -560,7 +560,7 @@ def test_a_run_is_cached_by_its_inputs(lag, monkeypatch):
     )
     again = results.measure(("lag", keep))
     assert again == first._replace(kept=True)
-    assert results._kept(keep / "lag", "another key") is None
+    assert results._stored(keep / "lag", "another key") is None
     (keep / "lag/report.html").unlink()
     assert not results.measure(("lag", keep)).kept
     assert results.measure(("no_such", keep)).error.startswith("scenario 'no_such' is unknown")
@@ -1127,11 +1127,11 @@ def test_the_life_of_a_golden_bag_is_as_expected(tmp_path, monkeypatch, capsys):
     go(verb=("check", "--golden"))
     go("--duration", "0.01")
     bag = tmp_path / "dc_motor_smc_b2/bag"
-    golden._ours(bag)
+    golden._check_folder(bag)
     for name in ("bag_x.mcap", "notes"):
         (bag / name).write_text("")
         with pytest.raises(ScenarioError, match=rf"bag/{name} was not made by `softrig golden`; move it away"):
-            golden._ours(bag)
+            golden._check_folder(bag)
         (bag / name).unlink()
     made = golden.load(tmp_path / "dc_motor_smc_b2", seed=4)
     assert (made.recipe.seed, made.recipe.duration, made.bag) == (4, 0.01, bag)

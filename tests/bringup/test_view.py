@@ -29,7 +29,7 @@ from softrig_bags.read import signals
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.view.control import Control, Knob
-from softrig_bringup.view.here import Here, here
+from softrig_bringup.view.here import SessionSource, show_here
 from softrig_bringup.view.page import SLOW, Page, reach
 from softrig_bringup.view.pictures import plots_of
 from softrig_bringup.view.run_pages import RunPages
@@ -282,7 +282,7 @@ def test_a_run_goes_back_from_its_page_and_the_branch_equals_run_from(tmp_path):
 
 
 def test_parameters_stay_changed_after_going_back_and_the_old_branch_can_be_run(tmp_path):
-    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, folder=lambda: tmp_path)
+    source = SessionSource(Session("dc_motor_smc", duration=0.1), True, 1.0, folder=lambda: tmp_path)
     session, control = source.session, source.control
     session.go(0.05)
     control.turn("me", "dc_motor_smc.delta", 0.5)
@@ -320,12 +320,12 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     (tmp_path / "log").mkdir()
     for full in ("log/rig.shard", f".left_1.yaml.{os.getpid()}.part"):
         (tmp_path / full).symlink_to("/dev/full")
-    plain = Here(Session("dc_motor_smc", duration=0.1), True, 1.0)
+    plain = SessionSource(Session("dc_motor_smc", duration=0.1), True, 1.0)
     plain.session.go(0.05)
     plain._place = lambda: tmp_path
     plain.control.go_back("me", 0.0)  # no parameter was changed, so nothing is kept
     assert plain.session.t == 0.0
-    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, folder=lambda: tmp_path)
+    source = SessionSource(Session("dc_motor_smc", duration=0.1), True, 1.0, folder=lambda: tmp_path)
     source.control.turn("me", "dc_motor_smc.delta", 0.5)
     source.session.go(0.05)
     source.read_new()
@@ -369,7 +369,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     folder = ResultsFolder(tmp_path / "run")
     folder.clear()
     rig = rig_of(load_scenario("dc_motor_smc").having(duration=0.01))
-    assert here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, conclude) == 0
+    assert show_here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, conclude) == 0
     assert "it is not written: [Errno 28]" in outcomes[0]
     assert outcomes[1] == "ended"
     assert [name for name, _ in written] == ["run", "run-2"]
@@ -379,14 +379,14 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):  # an error of softrig itself ends the run, which does not wait forever
-        here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, broken)
+        show_here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, broken)
 
 
 def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do(monkeypatch):
     """A tick takes a second of wall-clock time, or half of one; ten actions within it must not trigger a tick each."""
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     monkeypatch.setattr("softrig_bringup.view.here.time", clock)
-    source = Here(Session("dc_motor_smc", duration=0.1), False, PERIOD := 1e-4)
+    source = SessionSource(Session("dc_motor_smc", duration=0.1), False, PERIOD := 1e-4)
     knob, control = "dc_motor_smc.delta", source.control
 
     def ticks(seconds, do):
@@ -413,7 +413,7 @@ def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do(monk
 
 def test_requests_of_a_browser_run_in_the_thread_of_the_ticks():
     asked = []
-    source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, asked.append)
+    source = SessionSource(Session("dc_motor_smc", duration=0.1), True, 1.0, asked.append)
     source.session.go(0.05)
     source.control.go_back("me", 0.02)  # in a thread of Bokeh's
     assert source.session.t == 0.05

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from conftest import PATIENCE, few
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.view import here as here_module, remote, run_pages as run_pages_module, serve, sources
+from softrig_bringup.view import remote, run_pages as run_pages_module, serve, show_here as here_module, sources
 from softrig_bringup.view.control import Control
-from softrig_bringup.view.here import Here, here
+from softrig_bringup.view.here import SessionSource, show_here
 from softrig_bringup.view.run_pages import RunPages, page
 from softrig_bringup.view.serve import Pages, Watched, _Token, free_address, new_token
 from softrig_bringup.view.sources import Growing, Live, Recorded
@@ -271,7 +271,7 @@ def test_a_recording_is_cut_to_a_window_with_the_message_before_it(run):
 
 
 def test_a_slice_of_ticks_ends_in_time_and_the_pace_is_kept(clock, monkeypatch):
-    source = Here(Session("dc_motor_smc", duration=0.01), False, 0.0)
+    source = SessionSource(Session("dc_motor_smc", duration=0.01), False, 0.0)
     step = source._step
     monkeypatch.setattr(source, "_step", lambda: (step(), setattr(clock, "now", clock.now + 0.02)))
     before = source.session.t
@@ -291,7 +291,7 @@ def test_a_slice_of_ticks_ends_in_time_and_the_pace_is_kept(clock, monkeypatch):
 
 def test_the_elapsed_part_of_a_tick_survives_a_pause(clock):
     """A tick begins with each second of wall-clock time; 0.9 s of one have passed when somebody pauses for 5 s."""
-    source = Here(Session("dc_motor_smc", duration=0.1), False, 1e-4)
+    source = SessionSource(Session("dc_motor_smc", duration=0.1), False, 1e-4)
     source.turn()
     first, results = source.session.t, []
     for now, what in ((0.05, ""), (0.9, "pause"), (5.9, "resume"), (5.95, ""), (6.05, "")):
@@ -304,10 +304,12 @@ def test_the_elapsed_part_of_a_tick_survives_a_pause(clock):
 
 
 def test_actions_on_a_rig_in_the_process_of_its_page_are_reported(tmp_path, clock):
-    source = Here(Session("dc_motor_smc", duration=0.01), False, 1.0)
+    source = SessionSource(Session("dc_motor_smc", duration=0.01), False, 1.0)
     control = source.control
     assert (control.goes_back, control.buttons, control.held, control.pace) == (True, [], False, 1.0)
-    assert Here(Session("dc_motor_smc_faults", duration=0.01), True, 0.0).control.buttons == []  # messages from outside
+    assert (
+        SessionSource(Session("dc_motor_smc_faults", duration=0.01), True, 0.0).control.buttons == []
+    )  # messages from outside
     messages = []
     for act in (
         lambda: control.hold("me", "step"),
@@ -389,7 +391,7 @@ def test_a_run_in_the_process_of_its_page_is_concluded_once_and_returns_its_stat
     done = []
     rig = rig_of("dc_motor_smc", duration=0.02)
     placement = Placement("inprocess", paused=False, pace=0.0)
-    assert here(rig, placement, "127.0.0.1:0", quiet, concluding(done)) == 7
+    assert show_here(rig, placement, "127.0.0.1:0", quiet, concluding(done)) == 7
     ((name, run),) = done
     assert (name, run.mode, run.error, run.stopped, run.branched) == ("run", "inprocess", "", 0, [])
     assert run.recording.topics == simulate(rig).recording.topics
@@ -423,7 +425,7 @@ def test_a_branch_of_a_completed_run_is_written_beside_it_and_ctrl_c_ends_it(qui
     monkeypatch.setattr(NoPages, "left", left)
     (tmp_path / "run-2").mkdir()
     placement = Placement("inprocess", paused=False, pace=0.0)
-    assert here(rig_of("dc_motor_smc", duration=0.02), placement, "127.0.0.1:0", quiet, concluding(done)) == 7
+    assert show_here(rig_of("dc_motor_smc", duration=0.02), placement, "127.0.0.1:0", quiet, concluding(done)) == 7
     assert [(name, run.stopped) for name, run in done] == [("run", 0), ("run-3", 2)]
     assert done[1][1].branched == [{"at_s": 0.01, "from_s": 0.02, "left": str(tmp_path / "run")}]
     assert done[1][1].recording.topics["motor/state"].times[-1] == 10_000_000
@@ -445,7 +447,7 @@ def test_ctrl_c_after_going_back_and_before_a_tick_leaves_nothing_beside(quiet, 
 
     monkeypatch.setattr(NoPages, "left", left)
     placement = Placement("inprocess", paused=False, pace=0.0)
-    assert here(rig_of("dc_motor_smc", duration=0.02), placement, "127.0.0.1:0", quiet, concluding(done, 1)) == 1
+    assert show_here(rig_of("dc_motor_smc", duration=0.02), placement, "127.0.0.1:0", quiet, concluding(done, 1)) == 1
     assert [name for name, _ in done] == ["run"]
 
 

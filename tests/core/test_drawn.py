@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from softrig_core.drawing.base import Drawing, Quantity, held, readings, tail
+from softrig_core.drawing.base import Drawing, Quantity, limited, readings, tail
 from softrig_core.drawing.projection import Camera, plus, times, turned
 from softrig_core.drawing.robot import _limits
 from softrig_core.drawing.scope import _newest, plane, scope
@@ -80,7 +80,7 @@ def test_a_quantity_is_its_value_or_at_rest_and_is_labelled_so():
         volts.text_of({"v": math.inf}, unit=""),
         Quantity("v").text_of({"v": 0.0}),
     ] == ["1.2 V", "−3.00 V", "0.0 V", "−0.1 V", "−1,234 kV", "– V", "–", "0.0"]
-    assert [held(x, 2.0) for x in (-3.0, -2.0, 0.5, 2.0, 9.0)] == [-2.0, -2.0, 0.5, 2.0, 2.0]
+    assert [limited(x, 2.0) for x in (-3.0, -2.0, 0.5, 2.0, 9.0)] == [-2.0, -2.0, 0.5, 2.0, 2.0]
 
 
 def test_a_quantity_is_found_at_the_plant_then_at_those_linked_to_it_then_elsewhere():

@@ -22,7 +22,7 @@ def folder(tmp_path, monkeypatch):
     scenarios.mkdir()
     (scenarios / "one.yaml").write_text(FILE.format(title="One", duration=1.5))
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(scenarios))
-    monkeypatch.setattr(index, "_place", lambda: tmp_path / "index.json")
+    monkeypatch.setattr(index, "_index_path", lambda: tmp_path / "index.json")
     monkeypatch.setattr("softrig_core.scenario.scenario_file.prefixes", list)
     return scenarios
 
@@ -65,5 +65,5 @@ def test_nothing_is_stored_while_a_file_is_broken_or_the_index_cannot_be_written
         assert isinstance(broken[0], ScenarioError)
     assert not (tmp_path / "index.json").exists()
     (folder / "bad.yaml").unlink()
-    monkeypatch.setattr(index, "_place", lambda: tmp_path / "missing/index.json")
+    monkeypatch.setattr(index, "_index_path", lambda: tmp_path / "missing/index.json")
     assert [r[0] for r in loads(monkeypatch)[0]] == ["one", "one_slow"]

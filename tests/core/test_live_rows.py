@@ -1066,7 +1066,7 @@ def test_nodes_tick_together_only_if_all_their_inputs_are_their_own_and_checked(
         node = SimpleNamespace(links=SimpleNamespace(starter=starter), options=SimpleNamespace(epoch=epoch))
         drive = SimpleNamespace(senders=SimpleNamespace(rows=[*rows]), node=node)
         link = SimpleNamespace(output=SimpleNamespace(port=SimpleNamespace(unchecked=unchecked)))
-        return group_module._whole([drive], [link])
+        return group_module._is_closed([drive], [link])
 
     free = row(local=False, paired=False, awaited=False, schedule=None)
     assert whole(row(), row(), free)

@@ -31,7 +31,7 @@ from softrig_core.kit.newest import Newest
 from softrig_core.native.compile import BASE, same
 from softrig_core.native.fitted import NATIVE
 from softrig_core.native.reports import Reports
-from softrig_core.native.translate import Program, made, written
+from softrig_core.native.translate import Program, specialise, written
 from softrig_core.native.twins import packed, unpacked
 from softrig_core.native.value import UNKNOWN, Dynamic, NotNative, Record, Static, sample_of
 from softrig_core.native.words import OWN, TEXTS
@@ -263,7 +263,7 @@ def native(case: str, typed: bool = True) -> tuple[Any, Any, Program, list[str]]
     if typed:
         known = [dataclasses.replace(v, sample=packed(v.sample)) if isinstance(v, Dynamic) else v for v in known]
     try:
-        value = made(program, function, [Static(owner, (0,)), *known], {}, set())
+        value = specialise(program, function, [Static(owner, (0,)), *known], {}, set())
     except NotNative as reason:
         value = reason
     return function, value, program, names
@@ -1430,7 +1430,7 @@ def native_or_why(body: str, **keywords: Any) -> str:
     scope = dict(GLOBALS)
     exec(compile(text, name, "exec"), scope)
     try:
-        made(Program([Owner()], Writer), scope["case"], list(keywords.values()), {}, set())
+        specialise(Program([Owner()], Writer), scope["case"], list(keywords.values()), {}, set())
     except NotNative as why:
         return str(why).partition(", ")[2]
     return ""
@@ -1534,7 +1534,7 @@ def test_a_text_that_adds_up_a_mapping_suits_only_blocks_with_its_order_of_keys(
 
     first, turned, other = Added(a=0.1, b=0.2, c=0.3), Added(c=0.3, b=0.2, a=0.1), Added(a=1.0, b=2.0, c=3.0)
     program = Program([first], Writer)
-    made(program, Added.total, [Static(first, (0,)), Dynamic("x", 1.0)], {}, set())
+    specialise(program, Added.total, [Static(first, (0,)), Dynamic("x", 1.0)], {}, set())
     assert first.total(1.0) != turned.total(1.0)
     assert program.differs([turned])
     assert not program.differs([other])

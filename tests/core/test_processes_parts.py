@@ -118,7 +118,7 @@ def test_a_participant_gets_its_ports_and_in_a_container_the_property(exclusive,
     profile_text = executables.PROFILE.read_bytes()
     if bare:
         profile_text = b"<profiles><participant/></profiles>"
-    root = ElementTree.fromstring(profile.own(profile_text, exclusive=exclusive))
+    root = ElementTree.fromstring(profile.own_profile(profile_text, exclusive=exclusive))
     space = "" if bare else "d:"
     (participant,) = root.iter(f"{{{SPACE['d']}}}participant" if not bare else "participant")
     (rtps,) = participant.findall(f"{space}rtps", SPACE)
@@ -137,13 +137,13 @@ def test_a_participant_gets_its_ports_and_in_a_container_the_property(exclusive,
 def test_ports_and_properties_of_a_users_profile_stay(fixed):
     rtps = "<rtps><port><portBase>1</portBase></port><propertiesPolicy><properties><property><name>a</name></property>"
     profile_text = f"<profiles><participant>{rtps}</properties></propertiesPolicy></rtps></participant></profiles>"
-    root = ElementTree.fromstring(profile.own(profile_text.encode(), exclusive=True))
+    root = ElementTree.fromstring(profile.own_profile(profile_text.encode(), exclusive=True))
     assert [e.text for e in root.iter("portBase")] == ["1"]
     assert [e.text for e in root.iter("name")] == ["a", "fastdds.ignore_local_endpoints"]
     assert len([*root.iter("properties")]) == 1
     for text, message in ((b"<a", "not XML: "), (b"<a/>", "no participant in the profile, expected one")):
         with pytest.raises(ValueError, match=f"FASTRTPS_DEFAULT_PROFILES_FILE: {message}"):
-            profile.own(text)
+            profile.own_profile(text)
 
 
 @pytest.mark.parametrize("profile_of", [None, "ours", "theirs"])
@@ -894,6 +894,6 @@ def test_a_profile_has_the_names_of_the_installed_fast_dds(monkeypatch):
     """Fast DDS 3 (Kilted) refuses a whole file for one element of Fast DDS 2: then nothing of it would hold."""
     for third, name in ((False, b"<heartbeatPeriod>"), (True, b"<heartbeat_period>")):
         monkeypatch.setattr(profile, "third", lambda result=third: result)
-        made = profile.own(executables.PROFILE.read_bytes())
+        made = profile.own_profile(executables.PROFILE.read_bytes())
         assert name in made
         assert (b"nackSupressionDuration" in made, b"nack_supression_duration" in made) == (not third, third)

@@ -25,7 +25,7 @@ from softrig_nodes.processes.fork_server import start_node
 from softrig_nodes.processes.placement import NOBODY, Listener, Placement
 from softrig_nodes.processes.ports import chosen
 from softrig_nodes.processes.shared_memory import numbers
-from softrig_nodes.ros.profile import PROPERTY, VARIABLE, joining, own
+from softrig_nodes.ros.profile import PROPERTY, VARIABLE, joining, own_profile
 from softrig_nodes.seam.exchange import BURST, Exchange
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
@@ -469,7 +469,7 @@ def test_a_profile_keeps_its_settings_and_gets_ports_and_the_property(tmp_path, 
             assert text.count("<port><portBase>") == 1
         assert os.environ[VARIABLE] == str(profile_file)
     content = profile_file.read_bytes().replace(b"<rtps>", b"<rtps><port><portBase>7000</portBase></port>")
-    assert own(content).count(b"<portBase>") == 1
+    assert own_profile(content).count(b"<portBase>") == 1
 
 
 def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
@@ -519,7 +519,7 @@ def test_a_port_number_with_an_existing_file_is_chosen_last(tmp_path, monkeypatc
 @pytest.mark.parametrize(("text", "why"), [(b"<a", "not XML"), (b"<profiles/>", "no participant")])
 def test_a_profile_without_a_participant_is_refused(text, why):
     with pytest.raises(ValueError, match=why):
-        own(text)
+        own_profile(text)
 
 
 def test_a_container_without_nodes_prints_its_usage(tmp_path):

@@ -233,7 +233,7 @@ def test_a_node_waits_until_its_reader_has_replaced_a_damaged_port(tmp_path, mon
     assert third + 1.0 < Ears.PATIENCE
     clock = iter((0.0, 50.0, 55.0, *(55.0 + k for k in range(1, 20))))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
-    monkeypatch.setattr(shared_memory, "_own", lambda: {tmp_path / "fastrtps_port7661"})
+    monkeypatch.setattr(shared_memory, "_own_ports", lambda: {tmp_path / "fastrtps_port7661"})
     ears = Ears()
     assert [ears.lost() for _ in range(12)] == [""] * 10 + ["fastrtps_port7661"] * 2
 

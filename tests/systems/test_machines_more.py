@@ -18,7 +18,7 @@ from softrig_drives.machines.control.six_step import STEPS, SixStepController, S
 from softrig_drives.machines.induction_plant import InductionPlant, InductionPlantParams
 from softrig_drives.machines.rated.pmsm import pmsm, scenario
 from softrig_drives.machines.sensors import CurrentSensor, CurrentSensorParams, ShaftSensor, ShaftSensorParams
-from softrig_drives.machines.synchronous import SynchronousConstants, seen
+from softrig_drives.machines.synchronous import SynchronousConstants, outputs_of
 from softrig_drives.stator import inverse_gamma
 
 THIRD = 2.0 * math.pi / 3.0
@@ -286,7 +286,7 @@ def test_a_reluctance_machine_published_by_its_reactances():
     U, w, X_d, X_q = 100.0 * 2.0**0.5, 100.0 * math.pi, 3.0, 1.0
     pull_out = 1.5 * U * U * (1.0 / X_q - 1.0 / X_d) / 2.0 / (w / 2.0)
     for delta in (0.1, 0.7, math.pi / 4.0, 1.2):
-        torque = seen(U * math.cos(delta) / X_d, U * math.sin(delta) / X_q, 0.0, 0.0, 0.0, m)[2]
+        torque = outputs_of(U * math.cos(delta) / X_d, U * math.sin(delta) / X_q, 0.0, 0.0, 0.0, m)[2]
         assert torque == pytest.approx(pull_out * math.sin(2.0 * delta), rel=1e-7)
     assert pull_out > 46.0
 

@@ -88,7 +88,7 @@ class ResultsFolder:
         for file in sorted(self._foreign):
             if pattern.fullmatch(Path(file).parts[0]):
                 raise ScenarioError(_foreign(path / file))
-        self.replaced = _what(path) if self._old & set(_files(path)) else ""
+        self.replaced = _title(path) if self._old & set(_files(path)) else ""
 
     def begin(self, once: str = "") -> None:
         """Create the folder, and note in it that a call is writing.
@@ -324,7 +324,7 @@ def _inside(path: Path, file: Path) -> bool:
     return file.parent.resolve().is_relative_to(path.resolve())
 
 
-def _what(path: Path) -> str:
+def _title(path: Path) -> str:
     try:
         content = json_of((path / "metrics.json").read_text())
         return f"{content['scenario']} ({content['mode']}, seed {content['seed']})"

@@ -50,7 +50,7 @@ def need(package: str, user: str) -> None:
     ScenarioError
         The package is missing and could not be installed; the message explains how to install it.
     """
-    if _there(package):
+    if _is_installed(package):
         return
     if package in OF_PIP:
         raise ScenarioError(f"{user} needs the package {package!r}: pip install {package}")
@@ -58,13 +58,13 @@ def need(package: str, user: str) -> None:
     if command := os.environ.get("SOFTRIG_COMMAND"):
         subprocess.run([command, "setup", extra], stdin=subprocess.DEVNULL, check=False)  # prints its own lines
         importlib.invalidate_caches()
-        if _there(package):
+        if _is_installed(package):
             return
         raise ScenarioError(f"{user} needs the package {package!r}: {command} setup {extra} (see above why it failed)")
     raise ScenarioError(f"{user} needs the package {package!r}: pip install 'softrig[{extra}]', or {package} by itself")
 
 
-def _there(package: str) -> bool:
+def _is_installed(package: str) -> bool:
     try:
         return importlib.util.find_spec(package) is not None
     except ModuleNotFoundError:  # of the namespace that it is in

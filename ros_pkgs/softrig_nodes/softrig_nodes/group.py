@@ -42,7 +42,7 @@ class Group:
         if {n.options.mode for n in nodes} == {"realtime"}:
             drives = {n: Realtime(n) for n in nodes}
             links = _links(nodes)
-            if _whole(drives.values(), links):
+            if _is_closed(drives.values(), links):
                 _feed(links)
                 commands = [(k.writer.step, k.item, drives[k.reader]) for k in links if k.reader.is_plant]
                 driven = {d.step: d for d in drives.values()}
@@ -116,7 +116,7 @@ def _ordered(nodes: Sequence[Adapter]) -> list[Step]:
     return in_order([n.step for n in nodes], lambda s: s.plant, lambda s: [fill.source for fill in s.fed.values()])
 
 
-def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
+def _is_closed(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
     """Return whether nodes read only each other, with checked links and at their ticks; free inputs may be external."""
     rows = [row for drive in drives for row in drive.senders.rows]
     fed = [row for row in rows if row.local]

@@ -14,7 +14,7 @@ from .search import Point
 
 # In V and A. Ratios and reciprocals are formed of both, so zero and negative readings are raised to this.
 SMALL = 1e-6
-# Native code cannot extend an array, so this is room for corners to come; `_kept_in` raises when it is used up.
+# Native code cannot extend an array, so this is room for corners to come; `_add_corner` raises when it is used up.
 ROOM = 256
 Corner = tuple[float, float, float]  # x / y, by which they are ordered, x, y; x grows and y falls along the row
 
@@ -60,7 +60,7 @@ class FallingCurve:
             return 0.0, FallingCurve(n, v, i)
         least_v, least_i, most_v, most_i = min(v), min(i), max(v), max(i)
         change = max(_rise(self.below, most_v, most_i), _rise(self.above, 1.0 / least_v, 1.0 / least_i), 1.0)
-        below, above = _kept(self.below, least_v, least_i), _kept(self.above, 1.0 / most_v, 1.0 / most_i)
+        below, above = _with_corner(self.below, least_v, least_i), _with_corner(self.above, 1.0 / most_v, 1.0 / most_i)
         # Voltage and current both exceed a corner by this factor, so the power does by its square.
         return change * change - 1.0, FallingCurve(n, v, i, below, above)
 
@@ -84,7 +84,7 @@ def _rise(corners: tuple[Corner, ...], x: float, y: float) -> float:
     return most
 
 
-def _kept(corners: tuple[Corner, ...], x: float, y: float) -> tuple[Corner, ...]:
+def _with_corner(corners: tuple[Corner, ...], x: float, y: float) -> tuple[Corner, ...]:
     """Add a corner unless another one dominates it, and remove those that it dominates."""
     k = bisect(corners, (x / y,))
     for _, a, b in corners[max(k - 1, 0) : k + 1]:
@@ -137,13 +137,13 @@ def _apply_sample(
     change = 1.0
     change = max(change, _rise_in(corners[0, : counts[1]], most_v, most_i))
     change = max(change, _rise_in(corners[1, : counts[2]], 1.0 / least_v, 1.0 / least_i))
-    counts[1] = _kept_in(corners[0], counts[1], least_v, least_i)
-    counts[2] = _kept_in(corners[1], counts[2], 1.0 / most_v, 1.0 / most_i)
+    counts[1] = _add_corner(corners[0], counts[1], least_v, least_i)
+    counts[2] = _add_corner(corners[1], counts[2], 1.0 / most_v, 1.0 / most_i)
     return change
 
 
 @jit
-def _place(corners: NDArray[np.float64], ratio: float) -> int:
+def _insertion_index(corners: NDArray[np.float64], ratio: float) -> int:
     low, high = 0, len(corners)
     while low < high:
         middle = (low + high) // 2
@@ -156,7 +156,7 @@ def _place(corners: NDArray[np.float64], ratio: float) -> int:
 
 @jit
 def _rise_in(corners: NDArray[np.float64], x: float, y: float) -> float:
-    k = _place(corners, x / y)
+    k = _insertion_index(corners, x / y)
     most = 0.0
     for j in range(max(k - 1, 0), min(k + 1, len(corners))):
         most = max(most, min(corners[j, 1] / x, corners[j, 2] / y))
@@ -164,9 +164,9 @@ def _rise_in(corners: NDArray[np.float64], x: float, y: float) -> float:
 
 
 @jit
-def _kept_in(corners: NDArray[np.float64], size: int, x: float, y: float) -> int:
-    """Do as `_kept`, in place; return the new number of corners."""
-    k = _place(corners[:size], x / y)
+def _add_corner(corners: NDArray[np.float64], size: int, x: float, y: float) -> int:
+    """Do as `_with_corner`, in place; return the new number of corners."""
+    k = _insertion_index(corners[:size], x / y)
     for j in range(max(k - 1, 0), min(k + 1, size)):
         if corners[j, 1] >= x and corners[j, 2] >= y:
             return size

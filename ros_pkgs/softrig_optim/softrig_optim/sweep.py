@@ -344,7 +344,7 @@ def _connected(scheduler: str) -> Any:
     return distributed.Client(scheduler)
 
 
-def _made_of() -> dict[str, str]:
+def _versions() -> dict[str, str]:
     """Describe everything that affects numbers on this host; also runs on workers."""
     from importlib.metadata import version
 
@@ -361,7 +361,7 @@ def _check_peers(client: Any, scheduler: str) -> None:
     """
     how = "start it by `scripts/softrig python -m distributed.cli.dask_{kind}` of the same checkout and packages"
     try:
-        client.run_on_scheduler(_made_of)
+        client.run_on_scheduler(_versions)
     # Unpickling on the scheduler may raise anything, as it runs other versions of other packages.
     except Exception as error:
         why = str(error).splitlines()[0][:200]
@@ -371,8 +371,8 @@ def _check_peers(client: Any, scheduler: str) -> None:
     if not client.nthreads():
         print_line(f"no worker has joined {scheduler} yet: waiting; {how.format(kind='worker')}")
         client.wait_for_workers(1)
-    local = _made_of()
-    for address, result in client.run(_made_of, on_error="return").items():
+    local = _versions()
+    for address, result in client.run(_versions, on_error="return").items():
         if isinstance(result, Exception):
             why = str(result).splitlines()[0][:200]
             raise ScenarioError(f"worker {address} cannot import softrig ({why}); {how.format(kind='worker')}")

@@ -97,13 +97,15 @@ def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], offsets
         index[number] = times, selected
         if isinstance(data, list):
             for k, message in enumerate(data):
-                _place(content, selected[k : k + 1], number, times[k : k + 1], np.frombuffer(message, np.uint8)[None])
+                _write_at(
+                    content, selected[k : k + 1], number, times[k : k + 1], np.frombuffer(message, np.uint8)[None]
+                )
         else:
-            _place(content, selected, number, times, data)
+            _write_at(content, selected, number, times, data)
     file.write_block(content.tobytes(), index)
 
 
-def _place(
+def _write_at(
     content: NDArray[np.uint8],
     offsets: NDArray[np.int64],
     number: int,

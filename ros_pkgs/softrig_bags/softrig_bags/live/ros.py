@@ -213,11 +213,11 @@ def publisher_profile(topic: BagTopic) -> QoSProfile:
     latched = [q for q in topic.offered if q.durability == QosDurability.TRANSIENT_LOCAL]
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=max(_ADAPTED, sum(map(_kept, latched))) if latched else _QUEUE,
+        depth=max(_ADAPTED, sum(map(_depth, latched))) if latched else _QUEUE,
         reliability=ReliabilityPolicy.BEST_EFFORT if unreliable else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
 
 
-def _kept(latched: Qos) -> int:
+def _depth(latched: Qos) -> int:
     return latched.depth or 1 if latched.history == QosHistory.KEEP_LAST else _QUEUE

@@ -32,7 +32,7 @@ PICTURE = "worst.svg"
 def write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: str) -> dict[str, Path]:
     """Write the most important runs, their scenario files and the page; return the files."""
     files: dict[str, Path] = {}
-    nominal = outcome.space.scenario.having(faults=_kept(outcome))
+    nominal = outcome.space.scenario.having(faults=_own_faults(outcome))
     runs = {"nominal": _record(task, nominal, out / "nominal", plots, also)}
     for name, case in (("worst", outcome.case), ("small", outcome.small)):
         if case is not None:
@@ -66,7 +66,7 @@ def _standing_alone(text: str, file: Path) -> Scenario:
         return load_scenario(str(draft))
 
 
-def _kept(outcome: Outcome) -> dict[str, Any]:
+def _own_faults(outcome: Outcome) -> dict[str, Any]:
     """Return the scenario's own faults, without the profiles that the search adds."""
     added = {
         t.partition(".")[0] for t, o in zip(outcome.space.targets, outcome.space.overs, strict=True) if o.on_signal
@@ -105,7 +105,7 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
                 nodes.setdefault(node, {"parameters": {}})["parameters"][parameter] = value
         faults: dict[str, Any] = {n: f.model_dump() for n, f in changed.faults.items()}
         before = outcome.space.scenario.faults
-        faults |= dict.fromkeys(n for n in before if n not in faults and n in _kept(outcome))
+        faults |= dict.fromkeys(n for n in before if n not in faults and n in _own_faults(outcome))
         content: dict[str, Any] = {"extends": task.scenario, "title": title, "seed": changed.seed}
         content |= {"duration": changed.duration} | ({"nodes": nodes} if nodes else {})
         content |= {"faults": faults} if faults else {}

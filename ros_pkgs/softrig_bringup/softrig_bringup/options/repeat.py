@@ -21,11 +21,11 @@ def workspace(package: str) -> Path | None:
             if (prefix / "workspace").is_file():
                 return Path((prefix / "workspace").read_text().strip())
             install = prefix if prefix.name == "install" else prefix.parent  # merged, or a folder a package
-            return install.parent if (install / "local_setup.sh").is_file() and not _ours(prefix) else None
+            return install.parent if (install / "local_setup.sh").is_file() and not _is_suite(prefix) else None
     return None
 
 
-def _ours(prefix: Path) -> bool:
+def _is_suite(prefix: Path) -> bool:
     """Return whether a prefix is that of the suite itself, which scripts/softrig sources."""
     return (prefix / "share" / "ament_index" / "resource_index" / "packages" / "softrig_bringup").exists()
 

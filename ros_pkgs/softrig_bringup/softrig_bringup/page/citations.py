@@ -90,7 +90,7 @@ def _entries(path: Path, written: int) -> dict[str, Citation]:
             authors=authors,
             title=_plain(fields["title"]),
             year=fields["year"],
-            place=_place({k: v for k, v in fields.items() if isinstance(v, str)}),
+            place=_publication({k: v for k, v in fields.items() if isinstance(v, str)}),
             doi=fields.get("doi", ""),
             bibtex=(entry.raw or "").strip(),
         )
@@ -106,7 +106,7 @@ def _plain(text: str) -> str:
     return text.replace("{", "").replace("}", "").replace("--", "–").replace("\\&", "&")
 
 
-def _place(fields: dict[str, str]) -> str:
+def _publication(fields: dict[str, str]) -> str:
     """Return where a paper appeared: journal 2(6), 582–587, or the publisher."""
     volume = fields.get("volume", "") + (f"({fields['number']})" if "number" in fields else "")
     container = fields.get("journal", fields.get("booktitle", fields.get("publisher", "")))

@@ -196,7 +196,7 @@ class Source:
         self.signals = signals
         self.topics = rig.topics
         self.units = signal_units(rig)
-        self.held = _held(rig)
+        self.held = _held_topics(rig)
         recorded = [t for t in self.topics if t in signals.recording.topics]
         self.published = [t for t in recorded if signals.recording.topics[t].number]
         self.silent = [t for t in recorded if t not in self.published and self.topics[t].labels]
@@ -266,7 +266,7 @@ def _reference(port: Port, label: str) -> bool:
     return is_reference or port.msgtype.startswith("trajectory_msgs")
 
 
-def _held(rig: Rig) -> set[str]:
+def _held_topics(rig: Rig) -> set[str]:
     """Topics whose values stay until the next message."""
     sampled = {p.topic for m in rig.members for p in (m.inputs if m.is_plant else m.outputs)}
     # Commands applied by a plant come from it, but they are held just as those that it received.
@@ -275,7 +275,7 @@ def _held(rig: Rig) -> set[str]:
 
 def shown(rig: Rig) -> dict[str, Shown]:
     """Describe the signals of the plots over time of a rig's scenario."""
-    known, held = signal_units(rig), _held(rig)
+    known, held = signal_units(rig), _held_topics(rig)
     result = {}
     for entry in rig.scenario.plots:
         for name, label in entry.signals.items():

@@ -121,13 +121,13 @@ def _bounds(limits: Expectation | None) -> tuple[float, float]:
 def _placed(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
     """Place a figure in the picture of its signal; None if it has no place there."""
     a = figure.arguments
-    mark = replace(mark, start=_given(a, "start", -math.inf), end=_given(a, "end", math.inf))
+    mark = replace(mark, start=_number_of(a, "start", -math.inf), end=_number_of(a, "end", math.inf))
     if figure.function in (measures.mean, measures.final_value):
         yield mark
     elif figure.function in (measures.maximum, measures.minimum):
         yield _extreme(mark, signals, a, math.nan)
     elif figure.function is measures.peak and not isinstance(a.get("reference", 0.0), str):
-        yield _extreme(mark, signals, a, _given(a, "reference", 0.0))
+        yield _extreme(mark, signals, a, _number_of(a, "reference", 0.0))
     elif figure.function in (measures.reach_time, measures.error_settling_time):
         zero = measures.begin(signals[a["signal"]][0], a.get("start"))
         yield mark.at(lambda v: zero + v, "time")
@@ -155,7 +155,7 @@ def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
     """Place a figure of a step."""
     a = figure.arguments
     t, x = measures.window(signals, a["signal"], a.get("start"), a.get("end"))
-    initial = _given(a, "initial", 0.0)
+    initial = _number_of(a, "initial", 0.0)
     step = (float(x[-1]) if a.get("final") is None else float(a["final"])) - initial
     if figure.function is measures.overshoot:
         yield mark.at(lambda v: initial + step * (1.0 + v / 100.0), "value")
@@ -170,6 +170,6 @@ def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
     yield mark.at(lambda v: float(began) + v, "time")
 
 
-def _given(arguments: Mapping[str, Any], name: str, default: float) -> float:
+def _number_of(arguments: Mapping[str, Any], name: str, default: float) -> float:
     value = arguments.get(name)
     return default if value is None else float(value)

@@ -35,8 +35,8 @@ def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
 
                 target.xaxis.set_major_locator(MaxNLocator(integer=True))
                 continue
-            args = [_there(value, known) for value in call.args]
-            kwargs = {name: _there(value, known, target) for name, value in call.kwargs.items()}
+            args = [_counterpart(value, known) for value in call.args]
+            kwargs = {name: _counterpart(value, known, target) for name, value in call.kwargs.items()}
             result = getattr(target, call.name)(*args, **kwargs)
             if isinstance(call.result, np.ndarray | list):
                 known |= {id(own): there for own, there in zip(np.ravel(call.result), np.ravel(result), strict=True)}
@@ -45,12 +45,12 @@ def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
     return paper
 
 
-def _there(value: Any, known: Mapping[int, Any], target: Any = None) -> Any:
+def _counterpart(value: Any, known: Mapping[int, Any], target: Any = None) -> Any:
     """Return matplotlib's counterpart of one of our objects; a number or a text is returned unchanged."""
     if isinstance(value, Across):
         return target.get_xaxis_transform() if value.data == "x" else target.get_yaxis_transform()
     if isinstance(value, Place):
         return known[id(value.grid)][value.key]
     if isinstance(value, list) and any(id(item) in known for item in value):
-        return [_there(item, known) for item in value]
+        return [_counterpart(item, known) for item in value]
     return known.get(id(value), value) if isinstance(value, Axes) or not isinstance(value, (int, float, str)) else value

@@ -210,8 +210,8 @@ class _Writer:
     def _axes(self, axes: Axes, box: Box, scales: tuple[Scale, Scale]) -> Iterator[str]:
         x, y = scales
         to_x, to_y = (
-            _place(axes.x.limits(), box.left, box.width),
-            _place(axes.y.limits(), box.top + box.height, -box.height),
+            _to_pixels(axes.x.limits(), box.left, box.width),
+            _to_pixels(axes.y.limits(), box.top + box.height, -box.height),
         )
         right, bottom = box.left + box.width, box.top + box.height
         lines = [f"M{_n(to_x(t))} {_n(box.top)}V{_n(bottom)}" for t in x.at if axes.gridded["x"]]
@@ -285,7 +285,7 @@ class _Writer:
     def _inside(self, axes: Axes, box: Box) -> Iterator[str]:
         """Draw curves, bands and maps, cut at the edges of the axes, in tenths of a pixel."""
         wide, high = box.width * FINE, box.height * FINE
-        to_x, to_y = _place(axes.x.limits(), 0.0, wide), _place(axes.y.limits(), high, -high)
+        to_x, to_y = _to_pixels(axes.x.limits(), 0.0, wide), _to_pixels(axes.y.limits(), high, -high)
         drawn = []
         for item in sorted(axes.items, key=lambda item: item.zorder):
             if isinstance(item, Line) and item.clip_on:
@@ -293,7 +293,7 @@ class _Writer:
                 if item.linestyle:
                     drawn.append(self._stroke(item, path(x, y, item.steps, box.width), FINE * self.point))
                 if item.marker:
-                    drawn.append(self._marks(item, _seen(x, y), FINE))
+                    drawn.append(self._marks(item, _finite(x, y), FINE))
             elif isinstance(item, Area):
                 drawn.append(self._area(item, to_x, to_y, high))
             elif isinstance(item, Rule):
@@ -312,7 +312,7 @@ class _Writer:
         for item in axes.items:
             if isinstance(item, Line) and not item.clip_on:
                 y = box.top + (1.0 - item.y) * box.height if item.up else to_y(item.y)
-                yield self._marks(item, _seen(to_x(item.x), y))
+                yield self._marks(item, _finite(to_x(item.x), y))
             elif isinstance(item, Words):
                 x = box.left + item.x * box.width if item.across else to_x(item.x)
                 y = box.top + (1.0 - item.y) * box.height if item.up else to_y(item.y)
@@ -420,7 +420,7 @@ class _Writer:
                    f'height="{_n(step + 0.5)}" fill="{colour}"/>')  # fmt: skip
         ticks = round_ticks(low, high, min(9, max(1, int(box.height / (20.0 * self.point)))))
         power = power_of(ticks)
-        to_y, right = _place((low, high), box.top + box.height, -box.height), box.left + box.width
+        to_y, right = _to_pixels((low, high), box.top + box.height, -box.height), box.left + box.width
         names = texts(ticks, power, (low, high))
         for t, text in zip(ticks, names, strict=True):
             y = to_y(t)
@@ -492,14 +492,14 @@ def _n(value: float) -> str:
     return f"{round(float(value), 1):g}" if abs(value) < 1e5 else f"{value:.0f}"
 
 
-def _place(limits: tuple[float, float], begin: float, length: float) -> Any:
+def _to_pixels(limits: tuple[float, float], begin: float, length: float) -> Any:
     """Return functions that turn data into pixels."""
     low, high = limits
     factor = length / ((high - low) or 1.0)
     return lambda value: begin + (value - low) * factor
 
 
-def _seen(x: Array, y: Array) -> list[tuple[float, float]]:
+def _finite(x: Array, y: Array) -> list[tuple[float, float]]:
     known = np.isfinite(x) & np.isfinite(y)
     return list(zip(x[known].tolist(), y[known].tolist(), strict=True))
 

@@ -60,7 +60,7 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     try:
         rig = rig_of(name)
         target, key = (None, "") if folder is None else (folder / name, _key(rig))
-        if target and (stored := _kept(target, key)):
+        if target and (stored := _stored(target, key)):
             return stored
         run = simulate(rig, thorough=True)
     except (RunError, ScenarioError) as error:
@@ -95,7 +95,7 @@ def _key(rig: Rig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _kept(folder: Path, key: str) -> Measured | None:
+def _stored(folder: Path, key: str) -> Measured | None:
     try:
         content = json_of(_figures(folder).read_text())
         if content["key"] != key or not (folder / "report.html").is_file():

@@ -98,7 +98,7 @@ def content_of(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig]) -
     """Return the inputs on which the rows of a study depend."""
     free = {"title", "source", "require", "summaries", "expect", "claims", "name", "changed"}
     scenarios = {name: draft.filled() for name, draft in drafts.items()}
-    return study.model_dump(mode="json", exclude=free) | {"figures": _kept(study)} | made_of(scenarios, rigs)
+    return study.model_dump(mode="json", exclude=free) | {"figures": _kept_figures(study)} | made_of(scenarios, rigs)
 
 
 def check_seeds(study: Study, drafts: Mapping[str, Draft]) -> None:
@@ -129,7 +129,7 @@ def _work(study: Study, case: Case, drafts: Mapping[str, Draft]) -> Work:
     return Work(
         case,
         study.duration,
-        tuple(_kept(study)),
+        tuple(_kept_figures(study)),
         tuple(study.signals),
         study.samples,
         count(study) // max(1, len(study.cases)),
@@ -138,7 +138,7 @@ def _work(study: Study, case: Case, drafts: Mapping[str, Draft]) -> Work:
     )
 
 
-def _kept(study: Study) -> list[str]:
+def _kept_figures(study: Study) -> list[str]:
     """Return the figures that a row keeps; all when empty."""
     sought = [study.search.figure, *study.search.subject_to] if study.search else []
     sought += [*study.require, *(summary.figure for summary in study.summaries.values())]

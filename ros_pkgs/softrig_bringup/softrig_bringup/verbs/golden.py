@@ -237,7 +237,7 @@ class Golden:
         RunError
             The new bag could not be written.
         """
-        _ours(self.bag)
+        _check_folder(self.bag)
         new = self.rerun()
         difference = self.compare(new) if self.bag.exists() else None
         if differing and difference is not None and difference.equal:
@@ -276,7 +276,7 @@ def line(names: Iterable[str]) -> str:
     return "another Python, and blocks of your own" if differ else "the same functions and packages"
 
 
-def _ours(bag: Path) -> None:
+def _check_folder(bag: Path) -> None:
     """Check that a folder, if it exists, contains a bag and nothing else.
 
     Raises
@@ -374,7 +374,7 @@ def main(options: argparse.Namespace) -> int:
     changes = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
     folder, recipes = _chosen(options, options.names, changes, new=True)
     works = [(folder / name, recipe, changes, False, options.differing) for name, recipe in recipes.items()]
-    for row, new, _ in sweep(_one, works, title="golden bags", workers=1):
+    for row, new, _ in sweep(_made_or_checked, works, title="golden bags", workers=1):
         _print_row(folder, row, new)
     return 0
 
@@ -385,7 +385,7 @@ def check(options: argparse.Namespace) -> int:
     suites, content = [], []
     elsewhere: set[str] = set()
     works: list[_Work] = [(folder / name, recipe, {}, True, False) for name, recipe in recipes.items()]
-    for row, _, settings in sweep(_one, works, title="golden bags", workers=options.workers):
+    for row, _, settings in sweep(_made_or_checked, works, title="golden bags", workers=options.workers):
         _print_row(folder, row)
         length = f"{row['duration_s']:g} s"
         suites.append(Suite(row["bag"], row["wall_s"], [Case("bag", row["differs"], length)]))
@@ -435,7 +435,7 @@ def _with(node: str, folder: Path, recipes: Mapping[str, Recipe | None]) -> dict
     return results
 
 
-def _one(work: _Work) -> tuple[dict[str, Any], bool, set[str]]:
+def _made_or_checked(work: _Work) -> tuple[dict[str, Any], bool, set[str]]:
     """Create or check a golden bag; return its outcome, whether there was none before, and its `settings`."""
     started = time.perf_counter()
     folder, recipe, changes, check, differing = work

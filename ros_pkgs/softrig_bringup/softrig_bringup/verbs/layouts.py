@@ -182,14 +182,14 @@ def _path(topic: str, port: Port, label: str, text: str, unit: str) -> Mapping[s
     """Return a message path, with the time of the header where there is one, and the unit in its legend."""
     stamp = "headerStamp" if port.stamped else "receiveTime"
     return {
-        "value": f"/{topic}.{_place(port, label)}",
+        "value": f"/{topic}.{_message_path(port, label)}",
         "enabled": True,
         "timestampMethod": stamp,
         "label": f"{text or label} ({unit})" if unit else text or label,
     }
 
 
-def _place(port: Port, label: str) -> str:
+def _message_path(port: Port, label: str) -> str:
     """Return where a value is in its message: ``position[0]``, ``points[0].velocities[0]``, ``vector.x``."""
     head, _, last = label.rpartition("/")
     if port.type.named:
@@ -208,4 +208,4 @@ def _series(topic: str, port: Port, label: str) -> str:
     """Return the name of PlotJuggler's series: channel before field of a JointState, else the place in the message."""
     if port.type.named and port.msgtype != _TRAJECTORY:
         return f"/{topic}/{label}"
-    return f"/{topic}/{_place(port, label).replace('.', '/')}"
+    return f"/{topic}/{_message_path(port, label).replace('.', '/')}"

@@ -76,9 +76,9 @@ def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> in
     log = folder.path / "log"
     placement = placement_of(options)
     if options.view and options.mode == "inprocess":
-        from ..view.here import here
+        from ..view.here import show_here
 
-        return here(rig, placement, options.address, folder, lambda run, into: conclude(options, run, into))
+        return show_here(rig, placement, options.address, folder, lambda run, into: conclude(options, run, into))
     beside = page(scenario, log, placement, options.address)
     with folder.keeping(), beside as shown:
 
@@ -124,7 +124,7 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
     folder, number = ResultsFolder(out), 1
     if options.out is not None and not options.force and folder.hold() is None and folder.broke:
         folder = _without_broken_run(folder, rig)
-    while why := _kept(folder, rig, options.force):
+    while why := _refusal(folder, rig, options.force):
         if options.out is not None:
             forced = ", or --force" if why.endswith(")") else ""  # which takes no folder from who is writing there
             raise ScenarioError(f"--out {options.out}: {why}; expected another folder{forced}")
@@ -153,7 +153,7 @@ def _without_broken_run(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
     return ResultsFolder(folder.path)
 
 
-def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
+def _refusal(folder: ResultsFolder, rig: Rig, force: bool) -> str:
     """Describe why the folder must not be written to; empty if it may be."""
     if (holder := folder.hold()) is not None:
         return f"{holder} is writing there"
@@ -163,7 +163,7 @@ def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
     return ""
 
 
-class _Kept(NamedTuple):
+class _Results(NamedTuple):
     """Results of a run: content of metrics.json, whether it repeats another run, and the description of that."""
 
     content: Mapping[str, Any]
@@ -225,7 +225,7 @@ def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
     return f"figures and bag are in {path}, pictures and report are not; `{command}` makes a report with them"
 
 
-def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Kept:
+def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Results:
     """Write the folder and the report for continuous integration."""
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     changed += [f"branched at {b['at_s']:.9g} s" for b in done.branched]
@@ -261,7 +261,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
     if folder is not None and not options.no_plots:
         with busy(f"drawing {len(done.rig.scenario.plots)} pictures and the report into {_shown(folder.path)}"):
             illustrate(done, folder, options.format)
-    return _Kept(content, same, messages)
+    return _Results(content, same, messages)
 
 
 def _writing(done: Run, folder: ResultsFolder) -> str:
@@ -298,7 +298,7 @@ def _contradictions(like: Path) -> list[str]:
         return [f"{like}: {error}"]
 
 
-def _print_results(results: _Kept, done: Run, out: Path | None) -> None:
+def _print_results(results: _Results, done: Run, out: Path | None) -> None:
     """Print the figures and the remarks on the run."""
     if done.error:
         print_line(f"the run broke: {done.error}")
@@ -312,7 +312,7 @@ def _print_results(results: _Kept, done: Run, out: Path | None) -> None:
         print_line(done.stopped_at)
 
 
-def _judged(options: argparse.Namespace, results: _Kept, done: Run) -> int:
+def _judged(options: argparse.Namespace, results: _Results, done: Run) -> int:
     """Return the exit status."""
     if done.error:
         return 3

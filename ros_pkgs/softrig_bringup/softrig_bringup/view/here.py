@@ -34,7 +34,7 @@ REST = 0.01  # s between two looks at the wall clock, where ticks wait for it
 Conclude = Callable[[Run, ResultsFolder], int]
 
 
-class Here(Growing):
+class SessionSource(Growing):
     """A session as a page shows it.
 
     Parameters
@@ -228,7 +228,7 @@ class Here(Growing):
 
 
 @watched()
-def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, conclude: Conclude) -> int:
+def show_here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, conclude: Conclude) -> int:
     """Show a rig that runs in this process, until it is over and no browser is connected, or until Ctrl-C.
 
     A finished run is not overwritten: if the user goes back from its end, the new branch is written to a folder beside
@@ -256,7 +256,9 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
         target_folder = target_folder or _branch_folder(folder.path)
         return target_folder
 
-    source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: target().path)
+    source = SessionSource(
+        session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: target().path
+    )
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
     print_line(f"the page is {pages.url}")
     status, ended = 0, False

@@ -33,7 +33,7 @@ def head(source: Source, how: str, control: Control) -> str:
         after = "its knobs act no more" if not control.goes_back else "go back and turn a knob"
         state, style = f"the run is over: {state}; {after}", "over wrong" if source.outcome[:5] == "broke" else "over"
     elif not source.outcome:
-        state = f"{source.end:.6g} of {scenario.duration:g} s, {_going(source, control)}"
+        state = f"{source.end:.6g} of {scenario.duration:g} s, {_progress(source, control)}"
     note = "; of what is old only the extremes are kept" if source.thinned else ""
     text = "".join(
         f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.who}: {s.text}")}</p>'
@@ -45,7 +45,7 @@ def head(source: Source, how: str, control: Control) -> str:
     )
 
 
-def _going(source: Source, control: Control) -> str:
+def _progress(source: Source, control: Control) -> str:
     """Describe the awaited nodes, or whether the rig runs, at which pace, and whether the machine keeps up."""
     if names := source.awaited:
         return f"starting for {source.waited:.0f} s, waits for {', '.join(names)}"

@@ -101,7 +101,7 @@ class CParams(BlockParams):
     @cached_property
     def built(self) -> Built:
         """Return the library and the object that calls it."""
-        flags, header = tuple(_whole(flag) for flag in self.flags), resource(self.header, "header").resolve()
+        flags, header = tuple(_full_include(flag) for flag in self.flags), resource(self.header, "header").resolve()
         library = (
             compiled([resource(s, "source").resolve() for s in self.sources], (*flags, f"-I{header.parent}"))
             if self.sources
@@ -145,7 +145,7 @@ class CPlantParams(CParams):
         return True
 
 
-def _whole(flag: str) -> str:
+def _full_include(flag: str) -> str:
     """Create the folder of -I whole: the compiler runs elsewhere."""
     return f"-I{Path(flag[2:]).resolve()}" if flag.startswith("-I") else flag
 

@@ -148,7 +148,7 @@ def number_in(name: str, kind: str, text: str) -> float | int | bool:
         if text not in ("true", "false", "1", "0"):
             raise ValueError(f"{name} = {text!r}, expected true or false")
         return text in ("true", "1")
-    return _real(name, text) if kind in ("Real", "Float64", "Float32") else _whole(name, text)
+    return _real(name, text) if kind in ("Real", "Float64", "Float32") else _integer(name, text)
 
 
 def _example(dims: Sequence[int]) -> str:
@@ -336,9 +336,9 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], attributes_of: Mappi
         A number of it is none, or it has another number of start values than of elements.
     """
     unit = _declared(v, "unit", attributes_of)
-    known = None if not unit else units.get(unit) or Unit.of(_ours(unit))
+    known = None if not unit else units.get(unit) or Unit.of(_plain_unit(unit))
     sizes = [d.start if d.start is not None else d.variable.start for d in v.dimensions or ()]
-    dims = tuple(_whole("Dimension", size) for size in sizes)
+    dims = tuple(_integer("Dimension", size) for size in sizes)
     if dims and not 1 <= math.prod(dims) <= LONGEST:
         raise ValueError(f"an array of {' x '.join(map(str, dims))} values, expected 1 to {LONGEST}")
     start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
@@ -362,7 +362,7 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], attributes_of: Mappi
         dims,
         _declared(v, "relativeQuantity", attributes_of) in (True, "true", "1"),
         v.variability == "constant",
-        tuple((item.name, _whole("value of its type", item.value)) for item in getattr(v.declaredType, "items", ())),
+        tuple((item.name, _integer("value of its type", item.value)) for item in getattr(v.declaredType, "items", ())),
     )
     if start is not None and kind not in ("String", ""):
         variable.starts()
@@ -376,7 +376,7 @@ def _real(name: str, text: object) -> float:
     return number
 
 
-def _whole(name: str, text: object) -> int:
+def _integer(name: str, text: object) -> int:
     if not re.fullmatch(r"\s*[-+]?[0-9]{1,20}\s*", str(text)):
         raise ValueError(f"{name} = {str(text)!r}, expected a whole number")
     return int(str(text))
@@ -388,7 +388,7 @@ def _declared(variable: Any, name: str, texts: Mapping[str, Mapping[str, str]]) 
     return getattr(variable.declaredType, name, None) if result in (None, "") else result
 
 
-def _ours(name: str) -> str:
+def _plain_unit(name: str) -> str:
     """Write a unit as ours are: ``N.m/rad2`` of Modelica is ``N m/rad^2``."""
     plain = name.replace(".", " ").replace("Ohm", "ohm")
     return re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", plain)
@@ -402,11 +402,11 @@ def _unit(value: Any, file: str) -> Unit:
     ValueError
         A number of it is none, or the factor is not above zero.
     """
-    name, defined = _ours(value.name), value.baseUnit
+    name, defined = _plain_unit(value.name), value.baseUnit
     if defined is None:
         return Unit.of(name)
     try:
-        powers = {b: _whole(b, getattr(defined, b) or 0) for b in BASES}
+        powers = {b: _integer(b, getattr(defined, b) or 0) for b in BASES}
         factor, offset = _real("factor", defined.factor), _real("offset", defined.offset)
     except ValueError as error:
         raise ValueError(f"{file}: unit {value.name!r}: {error}") from None

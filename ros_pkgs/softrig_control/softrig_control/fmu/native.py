@@ -86,7 +86,7 @@ def export_native(rig: Rig, node: str, folder: Path, start: Mapping[str, Sequenc
     files |= {p.name: p.read_text() for p in headers.glob(f"{HEADERS[version]}*.h")}
     files["native_model.c"] = (sources / "native_model.c").read_text()
     files["model.h"] = _model(member, done, variables)
-    files["variables.h"] = _places(member, variables, start)
+    files["variables.h"] = _accessors(member, variables, start)
     wrapper = files[f"native_fmi{version}.c"] = (sources / f"native_fmi{version}.c").read_text()
     compiled = [f"native_fmi{version}.c", *(n for n in done.files if n.endswith(".c") and n in files)]
     if version == 3:
@@ -177,7 +177,7 @@ def _model(member: Member, done: Exported, variables: Sequence[Variable]) -> str
     )
 
 
-def _places(member: Member, variables: Sequence[Variable], start: Mapping[str, Sequence[float]]) -> str:
+def _accessors(member: Member, variables: Sequence[Variable], start: Mapping[str, Sequence[float]]) -> str:
     """Return the functions that read and write the variables of an instance."""
     begin = [f"    {v.place} = {literal(float(v.start))};" for v in variables if v.causality != "parameter"]
     begin += [f"    m->in.has_{identifier(p.name)} = true;" for p in member.inputs if p.held and p.name in start]

@@ -117,10 +117,10 @@ def usual(values: tuple[Any, ...], bound: float) -> bool:
     return only_floats(map(type, values)) and bool(sum_of_products(values, values) <= bound)
 
 
-Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
+Slots = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them
 
 
-def places(outputs: Sequence[Port]) -> list[Where]:
+def slots_of(outputs: Sequence[Port]) -> list[Slots]:
     """Return the position of each output in the numbers that a step publishes at a tick (see `part`)."""
     offsets = [*accumulate((p.width for p in outputs), initial=0)]
     # From 0 on: the sum of the first two switches alone would be a bool, which numpy takes for a mask.
@@ -132,7 +132,7 @@ def places(outputs: Sequence[Port]) -> list[Where]:
     ]
 
 
-def part(numbers: Sequence[float], stamps: Sequence[int], slots: Where) -> Row | None:
+def part(numbers: Sequence[float], stamps: Sequence[int], slots: Slots) -> Row | None:
     """Return the message of one output from the outputs of a step at a tick; None if it published nothing."""
     low, high, stamp, flag = slots
     if flag is not None and not numbers[flag]:
@@ -143,7 +143,7 @@ def part(numbers: Sequence[float], stamps: Sequence[int], slots: Where) -> Row |
 
 def parted(outputs: Sequence[Port], numbers: Sequence[float], stamps: Sequence[int]) -> Rows:
     """Return the message of each output, from all numbers, flags and stamps of a tick."""
-    return tuple([part(numbers, stamps, slots) for slots in places(outputs)])
+    return tuple([part(numbers, stamps, slots) for slots in slots_of(outputs)])
 
 
 Messages = Sequence[tuple[int, tuple[float, ...]]]  # (stamp in ns, values) of each, the oldest first

@@ -80,7 +80,7 @@ def answerer(step: Step) -> Callable[[int], None]:
         known |= {f"values{number}": reader.values, f"reader{number}": reader, f"port{number}": fill.port}
     wires = tuple([(f.output, f.port.name, value_text(f"row{f.output}", f.pick, f.stamp), f.checked) for f in fills])
     text = _answer_text(step.plain, step.plant, step.outputs, step.asked_for, wires, _ends(step, known))
-    return _made("answer", text, step, known)
+    return _function_of("answer", text, step, known)
 
 
 def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
@@ -150,7 +150,7 @@ def mover(step: Step) -> Callable[..., None]:
     """Create the function that advances a plant; see `Step.advance`."""
     over = step.overriding("over")
     known = {"move": step.move} | ({} if over is None else {"over": over.over})
-    return _made("advance", _move_text(tuple(step.values), over is not None), step, known)
+    return _function_of("advance", _move_text(tuple(step.values), over is not None), step, known)
 
 
 @lru_cache(maxsize=256)
@@ -168,7 +168,7 @@ def _inputs(names: Iterable[str]) -> str:
     )
 
 
-def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[..., None]:
+def _function_of(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[..., None]:
     known |= {
         "step": step,
         "values": step.values,

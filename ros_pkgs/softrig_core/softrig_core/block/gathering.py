@@ -57,7 +57,7 @@ def takes_batches(block: Block) -> bool:
     return isinstance(block, Batched) and block.in_batches
 
 
-class _Seen:
+class _Stream:
     """The messages received on one input."""
 
     def __init__(self, port: Port) -> None:
@@ -89,7 +89,7 @@ class Gathering(Link):
     def __init__(self, step: Step, ticks: int) -> None:
         super().__init__(step)
         self._most = ticks
-        self._seen = [_Seen(port) for port in step.inputs]
+        self._seen = [_Stream(port) for port in step.inputs]
         self._count, self._t = 0, 0
 
     def respond(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Any]]:

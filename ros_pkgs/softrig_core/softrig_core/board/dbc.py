@@ -150,7 +150,7 @@ def _parts(values: Sequence[Value]) -> list[list[Value]]:
     return parts
 
 
-def _whole(name: str, start: int, receiver: str, least: int = 0, most: int | None = None) -> Any:
+def _integer(name: str, start: int, receiver: str, least: int = 0, most: int | None = None) -> Any:
     """Return the signal of a whole number."""
     from cantools.database.can.signal import Signal
 
@@ -160,15 +160,15 @@ def _whole(name: str, start: int, receiver: str, least: int = 0, most: int | Non
 
 def _greeting(build: str, receiver: str) -> list[Any]:
     number = int(build, 16)
-    return [_whole(RUN, BITS[TICK], receiver), _whole(BUILD, HEAD, receiver, number, number)]
+    return [_integer(RUN, BITS[TICK], receiver), _integer(BUILD, HEAD, receiver, number, number)]
 
 
 def _signals(values: Sequence[Value], receiver: str) -> Iterator[Any]:
     from cantools.database.can.signal import Signal
     from cantools.database.conversion import BaseConversion
 
-    yield _whole(TICK, 0, receiver)
-    yield _whole(RUN, BITS[TICK], receiver)
+    yield _integer(TICK, 0, receiver)
+    yield _integer(RUN, BITS[TICK], receiver)
     start = HEAD
     for name, bits, unit, limit, _ in values:
         if bits == 1:

@@ -177,6 +177,6 @@ def tail(past: Sequence[Row], row: Row, points: int) -> list[Row]:
     return [rows[max(0, last - round((points - 1 - k) * max(last, 1) / (points - 1)))] for k in range(points)]
 
 
-def held(value: float, limit: float) -> float:
+def limited(value: float, limit: float) -> float:
     """Limit a value to plus or minus `limit`, where the drawing ends."""
     return min(max(value, -limit), limit)

@@ -9,7 +9,7 @@ from random import Random
 from xml.etree import ElementTree
 
 from ..block.scene import Scene, scene_of
-from .base import Drawing, Row, held, readings, tail
+from .base import Drawing, Row, limited, readings, tail
 from .projection import Camera, Place, plus, times, turned
 from .shapes import Pen, Point
 
@@ -144,7 +144,7 @@ class Robot(Drawing):
 
     def _force(self, pen: Pen, row: Row, tip: Place) -> None:
         if self.push:
-            reach = [held(f(row) / 100.0, 1.5) * 0.4 for f in self.push]
+            reach = [limited(f(row) / 100.0, 1.5) * 0.4 for f in self.push]
             pen.arrow(
                 self.camera(tip),
                 self.camera((tip[0] + reach[0], tip[1] + reach[1], tip[2] + reach[2])),

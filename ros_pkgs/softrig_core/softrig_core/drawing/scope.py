@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from .base import Row, held
+from .base import Row, limited
 from .shapes import Pen
 
 Box = tuple[float, float, float, float]
@@ -39,7 +39,7 @@ def scope(
     pen.line([(left, middle), (left + width, middle)], "faint", 1.0)
     rows = _newest(past, row, points)
     for reading, role in curves:
-        ys = [middle - held(reading(r) / full, 1.0) * height / 2 for r in rows]
+        ys = [middle - limited(reading(r) / full, 1.0) * height / 2 for r in rows]
         pen.line([(left + width * k / (points - 1), y) for k, y in enumerate(ys)], role, 1.5)
 
 

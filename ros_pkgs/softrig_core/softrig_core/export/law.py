@@ -19,7 +19,7 @@ from ..kit.draws import HEAD, Draws
 from ..kit.jit import Jit
 from ..native.compile import BASE
 from ..native.reports import Reports
-from ..native.translate import Program, follow, made
+from ..native.translate import Program, follow, specialise
 from ..native.turns import NOWHERE, rows_of
 from ..native.twins import packed
 from ..native.value import Dynamic, Group, NotNative, Static, Value
@@ -81,13 +81,13 @@ def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[For
     kinds = [roomy(kind, rooms) for kind in kinds]
     newest: dict[Form, Call] = {}
     for call, x in zip(calls, kinds[1::2], strict=True):
-        form = Form(call.method, x, there_of(call))
+        form = Form(call.method, x, present_of(call))
         if form not in newest or _oddity(call) <= _oddity(newest[form]):
             newest[form] = call
     return list(dict.fromkeys(kinds)), newest
 
 
-def there_of(call: Call) -> tuple[str, ...]:
+def present_of(call: Call) -> tuple[str, ...]:
     """Return the names of the inputs that have a value in a call."""
     return tuple(sorted(name for name, value in call.inputs.items() if value is not None))
 
@@ -131,7 +131,7 @@ def law_of(
         values = {p.name: _input(p, call.inputs.get(p.name)) for p in inputs} if form.method != "outputs" else {}
         state = Dynamic("x", packed(call.x))
         method = getattr(type(block), form.method)
-        value = made(program, method, [Static(block, (0,)), state, Dynamic("t", call.t or 1)], values, handed)
+        value = specialise(program, method, [Static(block, (0,)), state, Dynamic("t", call.t or 1)], values, handed)
         lines = _answer(program, form.method, value, outputs)
         arrays[form] = tuple(sorted(handed))
         rows = [f"i_{p.name}" for p in inputs if p.name in form.there]
@@ -163,7 +163,7 @@ def _going_on(
         if key in results:
             continue
         name, handed = f"go{len(results)}", set[str]()
-        value = made(program, move, [Static(block, (0,)), Dynamic("x", packed(call.x)), before], {}, handed)
+        value = specialise(program, move, [Static(block, (0,)), Dynamic("x", packed(call.x)), before], {}, handed)
         lines = _answer(program, "advance", value, ())
         results[key] = name, tuple(sorted(handed))
         head = f"def {name}({', '.join(['c', 'n', *results[key][1], 'x'])}):"
@@ -249,7 +249,7 @@ class Text:
     def answer(self, call: Call) -> Any:
         """Return the answer to a call; any error that this raises discards the call."""
         x = packed(call.x)
-        form = self.roots[call.method, _sizeless(kind_of(x)), there_of(call)]
+        form = self.roots[call.method, _sizeless(kind_of(x)), present_of(call)]
         ports = [] if form.method == "outputs" else [p for p in self.inputs if p.name in form.there]
         arrays = [self.handed[name] for name in self.law.arrays[form]]
         rows = [_row(call.inputs[p.name]) for p in ports]

@@ -67,7 +67,7 @@ def _source(
 ) -> str:
     assert messages.hello is not None
     assert messages.ready is not None
-    fields, back = _places(inputs, "in", "held"), _places(outputs, "out", "sporadic")
+    fields, back = _c_names(inputs, "in", "held"), _c_names(outputs, "out", "sporadic")
     parts = [line for k, frame in enumerate(messages.to) for line in _unpacking(k, frame, fields)]
     answers = [line for k, frame in enumerate(messages.back) for line in _packed(k, frame, back)]
     num, den = period
@@ -97,7 +97,7 @@ def _source(
     return _SOURCE.format(**words)
 
 
-def _places(ports: Sequence[Port], struct: str, flag: str) -> list[str]:
+def _c_names(ports: Sequence[Port], struct: str, flag: str) -> list[str]:
     """Return where C has the values of ports, in the order of `values_of`."""
     result: list[str] = []
     for port in ports:

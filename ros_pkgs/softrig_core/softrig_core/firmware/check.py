@@ -186,7 +186,7 @@ def _run(command: Sequence[str], subject: str, folder: Path) -> str:
     return done.stdout
 
 
-def _own(folder: Path, name: str) -> list[str]:
+def _c_files(folder: Path, name: str) -> list[str]:
     """Return the C files of a node, of its link, and those that CasADi has generated."""
     further = json.loads((folder / f"{name}.json").read_text())["sources"]
     return [str((folder / f).resolve()) for f in (f"{name}.c", f"{name}_link.c", *further)]
@@ -197,7 +197,7 @@ def _host(folder: Path, name: str, scratch: Path, layout: Layout) -> Path:
     from .files import filled
 
     (scratch / "host.c").write_text(filled("board_host.c", name, 0))
-    sources = [str(scratch / "host.c"), *_own(folder, name)]
+    sources = [str(scratch / "host.c"), *_c_files(folder, name)]
     single = ["-DSR_FLOAT"] if layout.single else []
     command = [
         c_compiler(),
@@ -221,7 +221,7 @@ def _arduino(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, i
         raise ScenarioError(f"the Arduino core is not installed in {CORE} (Debian: {DEBIAN})")
     sketch = next(folder.glob("*.ino"))
     (scratch / "sketch.cpp").write_text(f'#include <Arduino.h>\n#line 1 "{sketch.name}"\n{sketch.read_text()}')
-    files = [*(str(core / f) for f in CORE_FILES), str(scratch / "sketch.cpp"), *_own(folder, name)]
+    files = [*(str(core / f) for f in CORE_FILES), str(scratch / "sketch.cpp"), *_c_files(folder, name)]
     paths = [f"-I{core}", f"-I{CORE / 'variants' / 'standard'}", f"-I{folder.resolve()}"]
     objects = []
     for file in files:
@@ -247,7 +247,7 @@ def _cortex_m(folder: Path, name: str, scratch: Path, board: str) -> tuple[int, 
     compiler = tool("arm-none-eabi-gcc", TOOLS)
     tool("qemu-system-arm", TOOLS)
     elf = str((folder / f"{name}.elf").resolve())
-    sources = [str((folder / "main.c").resolve()), *_own(folder, name)]
+    sources = [str((folder / "main.c").resolve()), *_c_files(folder, name)]
     flags = [*FLAGS, "-mthumb", *BOARDS[board][1], "-ffunction-sections", "-fdata-sections", "-fstack-usage"]
     linked = ["-nostartfiles", "--specs=nosys.specs", "-T", str((folder / "board.ld").resolve()), "-Wl,--gc-sections"]
     objects = [f"{Path(source).stem}.o" for source in sources]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..block.answer import Messages, ReceivedMessages, Where, part, parted, places
+from ..block.answer import Messages, ReceivedMessages, Slots, part, parted, slots_of
 from ..block.block import Observer
 from ..block.fill import Fill
 from ..block.gathering import takes_batches
@@ -26,9 +26,9 @@ def _times(schedule: Schedule, first: int, last: int) -> NDArray[np.int64]:
     return schedule.times(first, last)
 
 
-def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
+def _readings(source: Step, reader: Step) -> list[tuple[Fill, Slots]]:
     """Return the connections from one step to another, each with its part of the answer."""
-    slots = places(source.outputs)
+    slots = slots_of(source.outputs)
     return [(fill, slots[fill.output]) for fill in reader.fed.values() if fill.source is source]
 
 

@@ -154,7 +154,7 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
     handed = sorted(turns.arrays)
     offsets = [0, *accumulate(len(s.numbers) for s in steps)]
     every = turns.plan.every(agent.schedule)
-    names = ", ".join(["begin", "end", "n", "c", "F", "I", "R", "A", "K", *(_whole(a, program) for a in handed)])
+    names = ", ".join(["begin", "end", "n", "c", "F", "I", "R", "A", "K", *(_all_draws(a, program) for a in handed)])
     results = ", ".join(f"({''.join(f'{name}{k}, ' for k, _ in enumerate(steps))})" for name in "xr")
     text = [
         f"def rig({names}):",
@@ -184,5 +184,5 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
     return RigText(written_out(program, rig), program, tuple(handed), ())
 
 
-def _whole(name: str, program: Program) -> str:
+def _all_draws(name: str, program: Program) -> str:
     return f"{name}_all" if name in program.draws.values() else name

@@ -28,7 +28,7 @@ from .translate import (
     TURNS,
     follow,
     is_number_slot,
-    made,
+    specialise,
 )
 from .twins import OF, class_of, is_twinned, twin, unpacked
 from .value import (
@@ -249,7 +249,7 @@ class Calls(Expressions):
         if not all(isinstance(v, Static) for v in sizes):
             raise self.unknown(f"{kind.__name__} of a size that is computed", node)
         rows = cls.rows(*(self.program.guard(v) for v in sizes))
-        return made(self.program, cls.RING.begin, [Static(rows)], bound, self.arrays)
+        return specialise(self.program, cls.RING.begin, [Static(rows)], bound, self.arrays)
 
     def _age(self, block: Block, wanted: Value) -> Value:
         """Return the age of an input: a known value, or an expression."""
@@ -353,7 +353,7 @@ class Calls(Expressions):
             raise self.unknown("super() of something that is computed", node)
         result = getattr(super(owner, instance.value), node.func.attr)
         args, kwargs = self._arguments(node)
-        return made(self.program, result.__func__, [instance, *args], kwargs, self.arrays)
+        return specialise(self.program, result.__func__, [instance, *args], kwargs, self.arrays)
 
     def _method(self, base: Value, node: ast.Call) -> Value:
         assert isinstance(node.func, ast.Attribute)
@@ -385,7 +385,7 @@ class Calls(Expressions):
         method = getattr(cls, name, None) if cls is not None else None
         if isinstance(method, types.FunctionType):
             by_place, kwargs = self._arguments(node)
-            return made(self.program, method, [base, *by_place], kwargs, self.arrays)
+            return specialise(self.program, method, [base, *by_place], kwargs, self.arrays)
         raise self.unknown(f".{name}() of {kind_of(base)}", node)
 
     def _replaced(
@@ -435,7 +435,7 @@ class Calls(Expressions):
         if called is dataclasses.replace and isinstance(args[0], Dynamic) and hasattr(type(args[0].sample), OF):
             return self._replaced(args[0], args[1:], kwargs, node)
         if isinstance(called, types.FunctionType):
-            return made(self.program, called, args, kwargs, self.arrays)
+            return specialise(self.program, called, args, kwargs, self.arrays)
         if isinstance(called, type) and self.program.inferred and hasattr(called, "RING"):
             return self._made(called, args, kwargs, node)
         if isinstance(called, type) and is_twinned(called):
@@ -456,7 +456,7 @@ class Calls(Expressions):
             and not isinstance(called, (type, types.BuiltinFunctionType))
             and isinstance(getattr(type(called), "__call__", None), types.FunctionType)  # noqa: B004 - its function
         ):
-            return made(self.program, type(called).__call__, [function, *args], kwargs, self.arrays)  # type: ignore[arg-type]
+            return specialise(self.program, type(called).__call__, [function, *args], kwargs, self.arrays)  # type: ignore[arg-type]
         return self._builtin(called, list(args), kwargs, node)
 
     def _written(self, name: str, function: Callable[..., Any], args: Sequence[Value]) -> Dynamic:
@@ -579,7 +579,7 @@ class Calls(Expressions):
             home = (*path, ("attr", "__self__"))  # a method that another object has lent, or that stands in a table
         if isinstance(owner, type):
             home = None
-        return made(self.program, called.__func__, [Static(owner, home), *args], kwargs, self.arrays)  # type: ignore[arg-type]
+        return specialise(self.program, called.__func__, [Static(owner, home), *args], kwargs, self.arrays)  # type: ignore[arg-type]
 
     def _builtin(self, called: Any, args: list[Value], kwargs: Mapping[str, Value], node: ast.AST) -> Value:
         if kwargs:

@@ -21,8 +21,8 @@ from .translate import (
     SMALL,
     UNARY,
     is_number_slot,
-    made,
     shape,
+    specialise,
 )
 from .twins import ARITHMETIC, COMPARISONS, TRUTH, class_of, own_operator
 from .value import (
@@ -126,7 +126,7 @@ class Expressions(Ways):
             if cls is not None and base.keys is None and hasattr(cls, name):
                 result = inspect.getattr_static(cls, name)
                 if isinstance(result, property) and isinstance(result.fget, types.FunctionType):
-                    return made(self.program, result.fget, [base], {}, self.arrays)
+                    return specialise(self.program, result.fget, [base], {}, self.arrays)
                 if not callable(result):
                     return Static(getattr(cls, name))
             # In a text that is not compiled such an object stays one of Python, with its own attributes.

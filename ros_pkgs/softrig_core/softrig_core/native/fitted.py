@@ -40,7 +40,7 @@ Make = Callable[[RigText], Callable[..., Any]]
 
 
 @dataclass
-class Kept:
+class CachedText:
     """A text for rigs of a kind, and its function.
 
     Attributes
@@ -60,7 +60,7 @@ class Kept:
     made: bool = False
 
 
-_texts: list[Kept] = []
+_texts: list[CachedText] = []
 _refused: dict[Any, str] = {}  # kinds that are native only without their rarely due members, and why
 _counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
 
@@ -106,7 +106,9 @@ def kinds_of(core: Core, recorded: Sequence[Step], make: Make) -> tuple[Any, ...
     )
 
 
-def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make: Make, typed: bool) -> Kept | None:
+def text_for(
+    kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make: Make, typed: bool
+) -> CachedText | None:
     """Find or make the text for the blocks as they are now; None: it is not worth making another one of this kind.
 
     Raises
@@ -125,7 +127,7 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
             # Without reports in the text a tick in which something is reported is discarded, which is better than no
             # text.
             text = rig_text(core.steps, recorded, typed, reports=False)
-        result = Kept(kinds, text, make(text), SHORTEST)
+        result = CachedText(kinds, text, make(text), SHORTEST)
         # The newest text is found first, and the oldest one is dropped.
         _texts.insert(0, result)
         del _texts[KEPT:]
@@ -187,7 +189,7 @@ class Fitted:
         Part of the blocks' tables is not supported by native code.
     """
 
-    def __init__(self, kept: Kept, core: Core, recorded: Sequence[Step], plan: Plan, typed: bool) -> None:
+    def __init__(self, kept: CachedText, core: Core, recorded: Sequence[Step], plan: Plan, typed: bool) -> None:
         self.kept, self.recorded, self.discarded, self.odd = kept, recorded, False, ""
         self._core, self._steps, self._plan, self._typed = core, core.steps, plan, typed
         program, roots = kept.text.program, [s.block for s in core.steps]

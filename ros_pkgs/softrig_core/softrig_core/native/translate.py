@@ -60,7 +60,7 @@ NUMBERS = (int, float, complex, bool)
 
 
 @dataclass(frozen=True)
-class Made:
+class Specialised:
     """A specialised function: its name, the arrays that it needs besides its arguments, and its result."""
 
     name: str
@@ -68,7 +68,7 @@ class Made:
     result: Value
 
 
-NEVER = Made("", (), Dynamic("", UNKNOWN, False))  # of a function that always discards the tick
+NEVER = Specialised("", (), Dynamic("", UNKNOWN, False))  # of a function that always discards the tick
 
 
 @dataclass
@@ -111,7 +111,7 @@ class Program:
     newest: set[Path] = field(default_factory=set)
     objects: dict[Path, Any] = field(default_factory=dict)  # as native code takes them, where types are inferred
     callers: dict[str, str] = field(default_factory=dict)
-    known: dict[Any, Made] = field(default_factory=dict)
+    known: dict[Any, Specialised] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)
     aside: bool = False  # whether the branch being read is not the samples' one: what is unknown there discards a tick
     under_way: set[Any] = field(default_factory=set)
@@ -310,7 +310,7 @@ def parsed(function: types.FunctionType) -> ast.FunctionDef:
     return tree
 
 
-def made(
+def specialise(
     program: Program, function: types.FunctionType, args: Sequence[Value], kwargs: Mapping[str, Value], arrays: set[str]
 ) -> Value:
     """Specialise a Python function to its fixed arguments, and return the code of the call.
@@ -401,7 +401,7 @@ def is_number_slot(value: Any) -> bool:
 
 def _specialised(
     program: Program, function: types.FunctionType, inner: dict[str, Value], parameters: list[str]
-) -> Made:
+) -> Specialised:
     tree = parsed(function)
     writer = program.writer(program, function, inner)
     lines = writer.body(tree.body)
@@ -409,7 +409,7 @@ def _specialised(
         return NEVER
     result = writer.result()
     if not isinstance(result, Dynamic):
-        return Made("", (), result)
+        return Specialised("", (), result)
     arrays = tuple(sorted(writer.arrays))
     name = f"f{len(program.functions)}_{function.__name__.strip('_')}"
     # The comment at the end leads from a traceback, or from exported C, back to the method.
@@ -417,4 +417,4 @@ def _specialised(
         f"def {name}({', '.join(['c', 'n', *arrays, *parameters])}):  # {function.__module__}.{function.__qualname__}"
     )
     program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
-    return Made(name, arrays, result)
+    return Specialised(name, arrays, result)

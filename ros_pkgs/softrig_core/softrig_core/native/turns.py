@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
-from ..block.answer import places
+from ..block.answer import slots_of
 from ..block.fill import Fill
 from ..block.loop import Act, acts
 from ..block.port import LONGEST, Port, Sample
 from ..block.schedule import Plan
 from ..block.step import Step
-from .translate import GIVEN_UP, Program, made
+from .translate import GIVEN_UP, Program, specialise
 from .twins import form, packed
 from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
 from .ways import alike
@@ -255,7 +255,7 @@ class Turns:
 
     def _read(self, fill: Fill, numbers: str, stamps: str, time: str, values: Any) -> Value:
         """Write the code that stores an output's present `values` in a subscriber's input."""
-        before, _, flag, _ = places(fill.source.outputs)[fill.output]
+        before, _, flag, _ = slots_of(fill.source.outputs)[fill.output]
         data = values.data if isinstance(values, Sample) else values
         row = [
             Dynamic(f"{numbers}[{before + p}]" if type(p) is int else repr(p), float(v))
@@ -276,7 +276,7 @@ class Turns:
         program.aside = decides(step)
         # The sample of a time is never 0: a branch for the first tick would pass for the usual one.
         args = [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)]
-        return made(program, getattr(type(step.block), name), args, inputs, self.arrays)
+        return specialise(program, getattr(type(step.block), name), args, inputs, self.arrays)
 
     def _answered(self, k: int, value: Value, state: str) -> list[str]:
         """Process an answer: its state, and its checked numbers, which are written into the table."""
@@ -329,7 +329,7 @@ class Turns:
         """Pass outputs with their time to their recorders; leave new kinds and invalid values to Python."""
         step, kept = self.steps[k], self.kept
         lines: list[str] = []
-        for j, (port, (_, _, _, flag)) in enumerate(zip(step.outputs, places(step.outputs), strict=True)):
+        for j, (port, (_, _, _, flag)) in enumerate(zip(step.outputs, slots_of(step.outputs), strict=True)):
             messages: list[str] = []
             for i, holding in enumerate(kept):
                 if (holding.source, holding.fill.output) != (k, j):

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from ..block.answer import Rows, places
+from ..block.answer import Rows, slots_of
 from ..block.block import Block, Observer
 from ..block.codec import encoder
 from ..block.link import Link
@@ -233,7 +233,7 @@ class _Keeper(_ToSink):
 
     def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
         """Record many messages; numbered ones singly, by their encoder."""
-        slots = places(self._ports)
+        slots = slots_of(self._ports)
         if all(p.sporadic for p in self._ports):
             # Most ticks of such a node are silent; whether each output publishes is in the last columns.
             published = numbers[:, slots[0][3] :].any(axis=1)

@@ -34,15 +34,15 @@ def listed(broken: list[ScenarioError]) -> list[Listed]:
     """
     path = None
     with suppress(OSError):  # a cache that cannot be used is no reason to list nothing
-        path = _place()
-        if (result := _kept(path)) is not None:
+        path = _index_path()
+        if (result := _read_index(path)) is not None:
             return result
     before = _states(_candidates())
     rows = _loaded(broken)
     state = _states(_candidates())
     if path is not None and not broken and before == state:
         with suppress(OSError):
-            _keep(path, state, rows)
+            _write_index(path, state, rows)
     return rows
 
 
@@ -76,7 +76,7 @@ def _states(paths: Iterable[Path]) -> State:
     return result
 
 
-def _place() -> Path:
+def _index_path() -> Path:
     from ..kit.compiled import cache_folder
 
     return cache_folder() / "scenarios.json"
@@ -86,7 +86,7 @@ def _folders() -> list[str]:
     return [str(folder.absolute()) for folder in scenario_folders()]
 
 
-def _kept(path: Path) -> list[Listed] | None:
+def _read_index(path: Path) -> list[Listed] | None:
     """Return the content of the index, None if it does not belong to the present folders and files."""
     with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):  # none, or damaged
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -95,7 +95,7 @@ def _kept(path: Path) -> list[Listed] | None:
     return None
 
 
-def _keep(path: Path, state: State, rows: list[Listed]) -> None:
+def _write_index(path: Path, state: State, rows: list[Listed]) -> None:
     from ..kit.compiled import store
 
     store(path, json.dumps({"folders": _folders(), "state": state, "rows": rows}).encode())

@@ -78,7 +78,7 @@ class Figure:
         # softrig's own functions use only operations that long arrays have; those of other packages may use any of
         # numpy.
         is_own = is_ours(self.function.__module__)
-        value = float(self.function(signals if is_own else _Whole(signals), **self.at(signals).arguments))
+        value = float(self.function(signals if is_own else _InMemory(signals), **self.at(signals).arguments))
         low, high = getattr(self.function, "possible", (-math.inf, math.inf))
         if value < low - ROUNDING * max(1.0, abs(low)) or value > high + ROUNDING * max(1.0, abs(high)):
             raise ImpossibleError(f"{value:.6g} is impossible, expected {low:g} to {high:g}")
@@ -110,7 +110,7 @@ class Figure:
         return replace(self, arguments=args | values, since="")
 
 
-class _Whole(Mapping[str, Signal]):
+class _InMemory(Mapping[str, Signal]):
     """The signals of a run as whole arrays in memory; figures of other packages may use any function of numpy."""
 
     def __init__(self, signals: SignalMap) -> None:
@@ -156,14 +156,14 @@ _known = Noted[Figure]()
 
 
 @once_for_objects
-def _found(name: str, entry: FigureEntry) -> Function:
+def _function_of(name: str, entry: FigureEntry) -> Function:
     return find(entry.function or name)
 
 
 def _figure(
     name: str, entry: FigureEntry, units: Mapping[str, str], agreed: Mapping[str, tuple[str, Any]], rig: Members
 ) -> Figure:
-    function = _found(name, entry)
+    function = _function_of(name, entry)
     wanted: Mapping[str, str] = getattr(function, "agreed", {})
     declared = {quantity: agreed[quantity] for quantity in wanted.values() if quantity in agreed}
 

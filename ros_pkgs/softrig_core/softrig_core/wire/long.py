@@ -130,14 +130,14 @@ class LongArray(NDArrayOperatorsMixin):
         last = options.get("axis", 0) in (-1, self.ndim - 1)
         if method == "reduce" and last and not options.keys() - {"axis", "keepdims", "initial"}:
             return _reduced(function, inputs[0], **options)
-        return getattr(function, method)(*map(_whole, inputs), **{k: _whole(v) for k, v in options.items()})
+        return getattr(function, method)(*map(_in_memory, inputs), **{k: _in_memory(v) for k, v in options.items()})
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         known = _FUNCTIONS.get(function)
         result = NotImplemented if known is None else known(*arguments, **options)
         if result is not NotImplemented:
             return result
-        return function(*map(_whole, arguments), **{k: _whole(v) for k, v in options.items()})
+        return function(*map(_in_memory, arguments), **{k: _in_memory(v) for k, v in options.items()})
 
     @property
     def real(self) -> LongArray:
@@ -179,11 +179,11 @@ class LongArray(NDArrayOperatorsMixin):
 
     def argmin(self) -> int:
         """Return the first place of the least number."""
-        return _place(self, np.argmin)
+        return _index_of(self, np.argmin)
 
     def argmax(self) -> int:
         """Return the first place of the greatest number."""
-        return _place(self, np.argmax)
+        return _index_of(self, np.argmax)
 
 
 def elementwise(function: _F) -> _F:
@@ -227,9 +227,9 @@ def counted(first: int, last: int) -> NDArray[np.intp]:
     return cast("NDArray[np.intp]", LongArray(last - first, lambda a, b: np.arange(first + a, first + b)))
 
 
-def _whole(x: Any) -> Any:
+def _in_memory(x: Any) -> Any:
     if isinstance(x, list | tuple):
-        return type(x)(map(_whole, x))
+        return type(x)(map(_in_memory, x))
     return np.asarray(x) if isinstance(x, LongArray) else x
 
 
@@ -273,7 +273,7 @@ def _sum(x: LongArray, first: int, last: int) -> Any:
     return _sum(x, first, middle) + _sum(x, middle, last)
 
 
-def _place(x: LongArray, extreme: Callable[..., Any]) -> int:
+def _index_of(x: LongArray, extreme: Callable[..., Any]) -> int:
     best: tuple[int, Any] | None = None
     for first, part in x.stretches():
         index = int(extreme(part))

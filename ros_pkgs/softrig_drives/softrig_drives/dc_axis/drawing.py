@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen
 
 
@@ -38,7 +38,7 @@ class DcAxis(Drawing):
         y = self.RAIL
         pen.box(30.0, y - 30.0, 70.0, 52.0, "line", "faint", 2.0)
         pen.text((65.0, y + 2.0), "M", "line", 18.0, "middle")
-        level = held(self.voltage(row) / self.limit, 1.0)
+        level = limited(self.voltage(row) / self.limit, 1.0)
         pen.box(36.0, y - 48.0, 58.0, 9.0, "muted", "", 1.0)
         pen.box(65.0, y - 48.0, 29.0 * level, 9.0, "second", "second", 0)
         pen.text((65.0, y - 56.0), self.voltage.text_of(row, ".2f"), "second", anchor="middle")
@@ -75,4 +75,4 @@ class DcAxis(Drawing):
     def at(self, position: float) -> float:
         """Return the x of a position, mm, on the scale."""
         middle = (self.LEFT + self.RIGHT) / 2
-        return middle + held(position / self.reach, 1.0) * (self.RIGHT - self.LEFT) / 2
+        return middle + limited(position / self.reach, 1.0) * (self.RIGHT - self.LEFT) / 2

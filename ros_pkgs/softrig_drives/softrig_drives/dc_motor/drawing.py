@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen, Point, polar
 from softrig_core.drawing.symbols import inductor, resistor, source
 
@@ -44,18 +44,18 @@ class DcMotor(Drawing):
         source(pen, (60, 150), 30.0, dc=True)
         pen.circle((310, 150), 34.0, "line", "faint", 2.0)
         pen.text((310, 156), "M", "line", 18.0, "middle")
-        share = held(self.current(row) / 2.0, 1.0)
+        share = limited(self.current(row) / 2.0, 1.0)
         pen.arrow((185 - 22 * share, 45), (185 + 22 * share, 45), "accent", 2.5)
         pen.text((185, 32), self.current.text_of(row, ".3f"), "accent", anchor="middle")
         pen.text((140, 98), "R", "muted", anchor="middle")
         pen.text((235, 98), "L", "muted", anchor="middle")
         pen.text((104, 155), self.voltage.text_of(row, ".2f"), "second")
-        level = held(self.voltage(row) / self.full, 1.0)
+        level = limited(self.voltage(row) / self.full, 1.0)
         pen.box(10, 110, 10, 80, "muted", "", 1.0)
         pen.box(10, 150, 10, -40 * level, "second", "second", 0)
         pen.line([(344, 150), CENTRE], "line", 5.0)
         turning_disc(pen, CENTRE, DISC, self.angle(row))
-        speed_arc(pen, CENTRE, DISC + 14, held(self.speed(row) / 60.0, 1.0))
+        speed_arc(pen, CENTRE, DISC + 14, limited(self.speed(row) / 60.0, 1.0))
         rows = [("Speed", self.speed.text_of(row, ".2f"), "line")]
         if self.encoder is not None:
             rows += [("measured by the encoder", self.encoder.text_of(row, ".2f"), "muted")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Quantity, Row, held, readings, tail
+from softrig_core.drawing.base import Drawing, Quantity, Row, limited, readings, tail
 from softrig_core.drawing.shapes import Pen, Point, polar
 
 from ..stator import PHASES, SLOTS, THIRD, belt
@@ -57,7 +57,7 @@ class InductionMotor(Drawing):
             phase, side = belt(slot)
             role = PHASES[phase][1]
             point = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
-            current = side * held(self.currents[phase](row) / self.rated, 1.6)
+            current = side * limited(self.currents[phase](row) / self.rated, 1.6)
             pen.circle(point, 11.0, "muted", "paper", 1.0)
             pen.circle(point, 6.6 * math.sqrt(abs(current)), role, role, 0)
             pen.text(
@@ -86,7 +86,7 @@ class InductionMotor(Drawing):
         pen.text((beside[0], beside[1] + 5), "ψ", "alarm", 16.0, "middle")
 
     def _tip(self, row: Row, vector: Sequence[Quantity]) -> Point:
-        alpha, beta = (held(q(row) / self.full, 1.3) for q in vector)
+        alpha, beta = (limited(q(row) / self.full, 1.3) for q in vector)
         return CENTRE[0] + ROTOR * alpha, CENTRE[1] - ROTOR * beta
 
     def _inverter(self, pen: Pen, row: Row) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen
 
 from .markers import DEPTH, GAP, HALF_BODY, STATOR_POLE, TRANSLATOR_PITCH, TRANSLATOR_POLE
@@ -73,7 +73,7 @@ class ReluctanceMotor(Drawing):
         half, tip, wide = HALF_BODY / 2 * SCALE, HALF_BODY * SCALE, TRANSLATOR_POLE * SCALE
         left, right = self._place(0) - 44.0, self._place(3) + 44.0
         for k, (_, role) in enumerate(PHASES):
-            share = held(self.currents[k](row) / self.full, 1.0)
+            share = limited(self.currents[k](row) / self.full, 1.0)
             for side in (-1.0, 1.0):
                 centre = self._place(k)
                 for x in (centre - wide / 2 - 13.0, centre + wide / 2):
@@ -94,7 +94,7 @@ class ReluctanceMotor(Drawing):
                 3.0,
             )
             pen.text((self._place(k), AXIS - 2.0), name, role, 15.0, "middle")
-        push = held(self.force(row) / 40.0, 1.0) * 110.0
+        push = limited(self.force(row) / 40.0, 1.0) * 110.0
         pen.arrow((MIDDLE, AXIS + 11.0), (MIDDLE + push, AXIS + 11.0), "alarm", 4.0, 13.0)
 
     def _currents(self, pen: Pen, row: Row) -> None:
@@ -103,5 +103,5 @@ class ReluctanceMotor(Drawing):
             y = 290.0 + 22.0 * k
             pen.text((30.0, y), name, role)
             pen.box(50.0, y - 11.0, 200.0, 12.0, "muted", "paper", 1.0)
-            pen.box(50.0, y - 11.0, 200.0 * held(abs(current(row)) / self.full, 1.0), 12.0, role, role, 0)
+            pen.box(50.0, y - 11.0, 200.0 * limited(abs(current(row)) / self.full, 1.0), 12.0, role, role, 0)
             pen.text((330.0, y), current.text_of(row, ".2f"), role, anchor="end")

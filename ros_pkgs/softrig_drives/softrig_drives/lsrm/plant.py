@@ -161,17 +161,17 @@ def step(
     """
     limit, R, M, damping, h, steps, locked = constants
     u = (
-        held(voltages[0], state[0], limit, fault),
-        held(voltages[1], state[1], limit, fault),
-        held(voltages[2], state[2], limit, fault),
-        held(voltages[3], state[3], limit, fault),
+        half_bridge_voltage(voltages[0], state[0], limit, fault),
+        half_bridge_voltage(voltages[1], state[1], limit, fault),
+        half_bridge_voltage(voltages[2], state[2], limit, fault),
+        half_bridge_voltage(voltages[3], state[3], limit, fault),
     )
     added, friction = load
     return advance(state, u, geometry, (R, M + added, damping), friction, locked > 0.0, h, int(steps))
 
 
 @jit
-def held(voltage: float, flux: float, limit: float, fault: bool) -> float:
+def half_bridge_voltage(voltage: float, flux: float, limit: float, fault: bool) -> float:
     """Return the voltage that a half bridge applies to its phase, V."""
     if fault:
         return -limit if flux > 0.0 else 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen, Point, polar
 
 from ..stator import PHASES, SLOTS, belt
@@ -36,7 +36,7 @@ class MachineDrawing(Drawing):
         """Stator, rotor, current vector, then the inverter and the values."""
         self._stator(pen, row)
         self._rotor(pen, row)
-        a, b, c = (held(q(row) / self.full, 1.0) for q in self.currents)
+        a, b, c = (limited(q(row) / self.full, 1.0) for q in self.currents)
         tip = (CENTRE[0] + ROTOR * (2 * a - b - c) / 3, CENTRE[1] - ROTOR * (b - c) / math.sqrt(3.0))
         pen.arrow(CENTRE, tip, "alarm", 3.5, 14.0)
         self._inverter(pen, row)
@@ -56,7 +56,7 @@ class MachineDrawing(Drawing):
             role = PHASES[phase][1]
             point = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
             pen.circle(point, 11.0, "muted", "paper", 1.0)
-            size = abs(held(self.currents[phase](row) / self.full, 1.0))
+            size = abs(limited(self.currents[phase](row) / self.full, 1.0))
             pen.circle(point, 10.0 * math.sqrt(size), role, role, 0)
             mark = "" if size == 0.0 else "·" if side * self.currents[phase](row) > 0 else "×"
             pen.text((point[0], point[1] + 4.5), mark, "paper", 13.0, "middle")
@@ -87,6 +87,6 @@ class MachineDrawing(Drawing):
         pen.line([(left - 20, top), (left + 170, top)], "line", 2.0)
         pen.line([(left - 20, bottom), (left + 170, bottom)], "line", 2.0)
         for k, ((name, role), duty) in enumerate(zip(PHASES, self.duties, strict=True)):
-            x, height = left + 10 + 60 * k, (bottom - top) * max(held(duty(row), 1.0), 0.0)
+            x, height = left + 10 + 60 * k, (bottom - top) * max(limited(duty(row), 1.0), 0.0)
             pen.box(x - 10, bottom - height, 20, height, role, role, 0)
             pen.text((x + 16, (top + bottom) / 2 + 5), name, role)

@@ -26,7 +26,9 @@ class InductionConstants(Params):
 
 
 @jit
-def seen(s_alpha: float, s_beta: float, r_alpha: float, r_beta: float, _: float, m: Any) -> tuple[float, float, float]:
+def outputs_of(
+    s_alpha: float, s_beta: float, r_alpha: float, r_beta: float, _: float, m: Any
+) -> tuple[float, float, float]:
     """Return i_alpha, i_beta (A) and the torque T = 3/2 p (psi_s x i_s), N m."""
     i_alpha, i_beta = (s_alpha - r_alpha) * m[2], (s_beta - r_beta) * m[2]
     return i_alpha, i_beta, 1.5 * m[4] * (s_alpha * i_beta - s_beta * i_alpha)

@@ -136,7 +136,7 @@ def linkage(i_d: float, i_q: float, m: Any) -> tuple[float, float, float, float,
 
 
 @jit
-def seen(i_d: float, i_q: float, _2: float, _3: float, theta: float, m: Any) -> tuple[float, float, float]:
+def outputs_of(i_d: float, i_q: float, _2: float, _3: float, theta: float, m: Any) -> tuple[float, float, float]:
     """Return i_alpha, i_beta (A) and the torque T = 3/2 p (psi_d i_q - psi_q i_d), N m."""
     psi_d, psi_q = linkage(i_d, i_q, m)[:2]
     c, s = math.cos(m[4] * theta), math.sin(m[4] * theta)

@@ -31,7 +31,7 @@ BETWEEN = 0.05  # s: the shortest time between two looks; several nodes of a pro
 SHARED = 0x80  # the kind of a mutex that is shared by processes and neither robust nor recursive
 
 
-class Held(NamedTuple):
+class HeldMutex(NamedTuple):
     """A mutex that a dead thread has locked."""
 
     port: str
@@ -53,7 +53,7 @@ class DeadLocks:
         self._folder = folder
         self._checked = -math.inf  # s, monotonic
         self._places: dict[tuple[str, int], int] = {}
-        self._held: set[Held] = set()
+        self._held: set[HeldMutex] = set()
 
     def release(self, domain: int) -> int:
         """Unlock each mutex whose owner was dead at two checks in a row; return how many were unlocked.
@@ -77,9 +77,9 @@ class DeadLocks:
             try:
                 # A port may be removed and created again under the same name, so the inode is part of the key.
                 key = path, os.fstat(file).st_ino
-                offset = offsets[key] if key in offsets else _place(path)
+                offset = offsets[key] if key in offsets else _mutex_offset(path)
                 self._places[key] = offset
-                for lock in _held(key, file, offset):
+                for lock in _held_mutexes(key, file, offset):
                     if lock in before:
                         _unlock(file, lock.at)
                         released += 1
@@ -90,7 +90,7 @@ class DeadLocks:
         return released
 
 
-def _held(key: tuple[str, int], file: int, start: int) -> Iterator[Held]:
+def _held_mutexes(key: tuple[str, int], file: int, start: int) -> Iterator[HeldMutex]:
     """Yield the mutexes of a port that dead threads hold."""
     if start < 0:
         return
@@ -98,10 +98,10 @@ def _held(key: tuple[str, int], file: int, start: int) -> Iterator[Held]:
     for k, offset in enumerate(MUTEXES):
         lock, _, owner, *_ = fields[k * FIELDS :]
         if lock and owner > 0 and _is_dead(owner):
-            yield Held(*key, start + offset, owner)
+            yield HeldMutex(*key, start + offset, owner)
 
 
-def _place(path: str) -> int:
+def _mutex_offset(path: str) -> int:
     """Return the offset of a port's description; -1 if its mutexes are not at the expected places."""
     segment = Path(path).read_bytes()
     start = judged(segment, Path(path))

@@ -9,7 +9,7 @@ from typing import Any
 
 from softrig_core.rig.rig import Rig
 
-from .peers import ours
+from .peers import has_own_reader
 
 UNSEEN = 10.0  # s: on one host ROS finds a node within 3 s
 # With LOCALHOST a participant of Cyclone DDS is found only by unicast.
@@ -27,7 +27,7 @@ class Guests:
     def __init__(self, rig: Rig, announce: Callable[[str], object] | None) -> None:
         self._announce = announce
         self._needed = {
-            m.name: {p.topic for p in m.outputs if ours(rig.readers(m, p))} for m in rig.members if m.external
+            m.name: {p.topic for p in m.outputs if has_own_reader(rig.readers(m, p))} for m in rig.members if m.external
         }
         self._rig = rig
         self._reported: set[str] = set()

@@ -42,7 +42,7 @@ def links(rig: Rig, member: Member) -> Links:
         free=[name for name, k in member.links.items() if k.source.external and k.port.sporadic],
         overheard=_overheard(rig, member),
         guests=any(m.external for m in rig.members),
-        outside=[p.topic for m in rig.members if m.external for p in m.outputs if ours(rig.readers(m, p))],
+        outside=[p.topic for m in rig.members if m.external for p in m.outputs if has_own_reader(rig.readers(m, p))],
         # An outside clock may not publish /clock, so a source follows the acknowledgements of `_pacers` instead.
         clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if clocked and not by_readers else None,
         follows_clock=clocked and by_readers,
@@ -83,7 +83,7 @@ def _overheard(rig: Rig, member: Member) -> list[OverheardLink]:
     return result
 
 
-def ours(readers: list[tuple[Member, Port]]) -> bool:
+def has_own_reader(readers: list[tuple[Member, Port]]) -> bool:
     """Return whether a node of ours is among the readers of a port."""
     return any(not m.external for m, _ in readers)
 

@@ -168,7 +168,7 @@ class Ears:
             self._judge()
             return ""
         try:
-            paths, mapped = _own(), _mapped()
+            paths, mapped = _own_ports(), _mapped()
         except OSError:  # not Linux
             return ""
         self._good = {path: inode for path in paths if (inode := _inode(path)) in mapped.get(path, ())}
@@ -214,7 +214,7 @@ def _inode(path: Path) -> int:
         return 0
 
 
-def _own() -> set[Path]:
+def _own_ports() -> set[Path]:
     """Return the ports on which this process holds the subscriber's lock."""
     result = set()
     for entry in Path("/proc/self/fd").iterdir():

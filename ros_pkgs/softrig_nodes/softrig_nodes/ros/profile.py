@@ -78,7 +78,7 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
         # but the loopback.
         if not memory and os.environ.get(RANGE) == "LOCALHOST":
             changes[RANGE] = "SYSTEM_DEFAULT"
-        file.write(own(text, exclusive=exclusive, memory=memory))
+        file.write(own_profile(text, exclusive=exclusive, memory=memory))
         file.flush()
         before = {name: os.environ.get(name) for name in (*changes, VARIABLE)}
         os.environ.pop(VARIABLE, None)
@@ -109,7 +109,7 @@ def watch_ports(node: Node) -> None:
         node.create_timer(1.0, check, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def own(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> bytes:
+def own_profile(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> bytes:
     """Return a profile file with ports for its participants, unless the given profile names some.
 
     Parameters

@@ -286,7 +286,7 @@ class ServingNode(Node):  # type: ignore[misc]
             if real and parameter.type_ in NUMBERS:
                 return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
             if known.type_ == Parameter.Type.INTEGER and parameter.type_ == Parameter.Type.DOUBLE:
-                return Parameter(parameter.name, Parameter.Type.INTEGER, whole(parameter.value))
+                return Parameter(parameter.name, Parameter.Type.INTEGER, as_integer(parameter.value))
             if known.type_ == Parameter.Type.DOUBLE_ARRAY and parameter.type_ in LISTS:
                 values = literal_eval(parameter.value) if isinstance(parameter.value, str) else parameter.value
                 return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, values)])
@@ -301,7 +301,7 @@ def plain(parameter: Parameter) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else list(value)
 
 
-def whole(value: float) -> int:
+def as_integer(value: float) -> int:
     """Return a float as the integer that it equals; a ValueError if it is not one."""
     if not value.is_integer() or abs(value) >= 2.0**63:
         raise ValueError(value)

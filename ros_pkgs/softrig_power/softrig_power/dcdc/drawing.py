@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen
 from softrig_core.drawing.symbols import inductor, resistor, source
 
@@ -46,7 +46,7 @@ class Converter(Drawing):
             pen.polygon([(223, 172), (247, 172), (235, 148)], "line", "line", 1.0)
             pen.line([(223, 148), (247, 148)], "line", 2.0)
             corner = (contact, TOP + 30)
-        share = held(self.duty(row), 1.0)
+        share = limited(self.duty(row), 1.0)
         pen.box(corner[0], corner[1], 20, -60, "muted", "", 1.0)
         pen.box(corner[0], corner[1], 20, -60 * max(share, 0.0), "second", "second", 0)
         pen.line([(430, TOP), (430, 150)])
@@ -56,7 +56,7 @@ class Converter(Drawing):
         pen.line([(520, TOP), (520, 120)])
         resistor(pen, (520, 120), (520, 200))
         pen.line([(520, 200), (520, BOTTOM)])
-        size = held(self.current(row) / 10.0, 1.0)
+        size = limited(self.current(row) / 10.0, 1.0)
         middle = 0.5 * (coil[0] + coil[1])
         pen.arrow((middle - 22 * size, TOP - 26), (middle + 22 * size, TOP - 26), "accent", 2.5)
         rows = [

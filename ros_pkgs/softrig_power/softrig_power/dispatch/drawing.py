@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen
 
 from .units import Units
@@ -49,7 +49,7 @@ class Fleet(Drawing):
             pen.text((x + wide / 2, foot + 15), name if n <= 20 or k % 2 == 0 else "", "muted", 10.0, "middle")
         full = max(sum(self.high), 1.0)
         pen.box(self.LEFT, 276.0, self.WIDTH, 14.0, "muted", "paper", 1.0)
-        pen.box(self.LEFT, 276.0, self.WIDTH * held(self.total(row) / full, 1.0), 14.0, "accent", "accent", 0)
+        pen.box(self.LEFT, 276.0, self.WIDTH * limited(self.total(row) / full, 1.0), 14.0, "accent", "accent", 0)
         x = self.LEFT + self.WIDTH * min(max(self.demand(row) / full, 0.0), 1.0)
         pen.line([(x, 270.0), (x, 296.0)], "alarm", 3.0)
         rows = [("Output of all units", self.total.text_of(row, ",.2f"), "accent")]

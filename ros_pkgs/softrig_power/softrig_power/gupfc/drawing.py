@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Quantity, Row, held, readings
+from softrig_core.drawing.base import Drawing, Quantity, Row, limited, readings
 from softrig_core.drawing.shapes import Pen
 from softrig_core.drawing.symbols import bus, converter, source
 
@@ -57,11 +57,11 @@ class Gupfc(Drawing):
             pen.text((330, y + below), s[voltage].text_of(row, ".3f"), "muted", 11.0, "middle")
             p, q = s[f"p{k}"], s[f"q{k}"]
             side = -1 if y == upper else 1
-            share = held(p(row) / 1.5, 1.0) * 62.0
+            share = limited(p(row) / 1.5, 1.0) * 62.0
             pen.arrow((424, y + 16 * side), (424 + share, y + 16 * side), "accent", 3.0, 11.0)
-            share = held(q(row) / 1.5, 1.0) * 62.0
+            share = limited(q(row) / 1.5, 1.0) * 62.0
             pen.arrow((424, y + 30 * side), (424 + share, y + 30 * side), "third", 3.0, 11.0)
-        share = held(s["p_sh"](row) / 0.5, 1.0) * 26.0
+        share = limited(s["p_sh"](row) / 0.5, 1.0) * 26.0
         pen.arrow((236, middle), (236, middle - share), "second", 3.0, 11.0)
         pen.text((228, middle + 5), s["p_sh"].text_of(row, ".3f"), "second", anchor="end")
         for y, name in ((upper + 60, "p12"), (lower - 48, "p34")):

@@ -37,7 +37,7 @@ class Command:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Window:
     """The newest period at every step, whose means are the outputs, and its power. It is read-only."""
 
     rows: Rows
@@ -49,7 +49,7 @@ class State(NamedTuple):
 
     network: Network
     commands: tuple[Command, Command, Command]
-    seen: Seen
+    seen: Window
     steps: int = 0
     tripped: bool = False
 
@@ -111,7 +111,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             Command(sigma, cmath.phase(v) - p.period * omega, omega)
             for sigma, v in zip(sigmas, (point.v_sh, point.v12, point.v34), strict=True)
         )
-        self._begin = State(begin.state, (shunt, series_1, series_2), Seen(window, power))
+        self._begin = State(begin.state, (shunt, series_1, series_2), Window(window, power))
 
     def first(self) -> State:
         """Return the steady state at the references of the parameters, as if its last command had always acted."""
@@ -172,7 +172,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             text = f"DC voltage {v_dc:.4g} pu, outside {TRIP[0]:g} to {TRIP[1]:g} pu: tripped"
             self.report(Level.ERROR, "trip", text)
             network.i[I_SH] = 0.0
-        return State(network, commands, Seen(rows, power), x.steps + p.substeps, tripped)
+        return State(network, commands, Window(rows, power), x.steps + p.substeps, tripped)
 
     def _accepted(self, x: State, k: int, command: tuple[float, ...], age: int | None) -> Command:
         """Return the command of converter k, which is `age` ns old, or its replacement."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.scope import plane
 from softrig_core.drawing.shapes import Pen, polar
 from softrig_core.drawing.symbols import diode, resistor
@@ -64,14 +64,14 @@ class PvString(Drawing):
         pen.text((345, 148), "boost", "line", 14.0, "middle")
         pen.text((345, 190), "duty", "muted", anchor="middle")
         pen.box(310, 200, 70, 10, "muted", "paper", 1.0)
-        pen.box(310, 200, 70 * held(self.duty(row), 1.0), 10, "third", "third", 0)
+        pen.box(310, 200, 70 * limited(self.duty(row), 1.0), 10, "third", "third", 0)
         pen.text((345, 232), self.duty.text_of(row, ".4f"), "third", 13.0, "middle")
         pen.line([(300, 30), (320, 30), (320, 80)], "line", 2.0)
         pen.line([(300, 322), (320, 322), (320, 270)], "line", 2.0)
         pen.line([(370, 80), (370, 30), (420, 30), (420, 130)], "line", 2.0)
         pen.line([(370, 270), (370, 322), (420, 322), (420, 220)], "line", 2.0)
         resistor(pen, (420, 130), (420, 220), half=11.0)
-        share = held(self.current(row) / 4.0, 1.0) * 26.0
+        share = limited(self.current(row) / 4.0, 1.0) * 26.0
         pen.arrow((240 - share, 20), (240 + share, 20), "second", 2.5)
         pen.text((240, 50), self.current.text_of(row, ".3f"), "second", anchor="middle")
         pen.text((230, 180), self.v.text_of(row, ".2f"), "accent", 15.0, "middle")

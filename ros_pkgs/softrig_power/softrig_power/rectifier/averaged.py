@@ -96,7 +96,7 @@ def read(t: float, x: Array, circuit: Circuit) -> tuple[float, float, float, flo
 
 
 @jit
-def seen(sums: Array, t: float, weight: float, x: Array, p: tuple[Circuit, Period]) -> None:
+def add_signals(sums: Array, t: float, weight: float, x: Array, p: tuple[Circuit, Period]) -> None:
     """Add the signals of a state at t to the sums."""
     circuit, period = p
     angle = circuit.omega * t
@@ -143,11 +143,11 @@ def walk(step: Callable[..., None]) -> Callable[..., float]:
                 border = (sums[PLAIN, WINDOWS] + 1.0) * window
                 stop = min(end, border)
                 half = 0.5 * (stop - t)
-                seen(sums, t, waiting + half, x, p)  # the end of one piece and the begin of the next at once
+                add_signals(sums, t, waiting + half, x, p)  # the end of one piece and the begin of the next at once
                 step(t, stop, x, p)
                 waiting = half
                 if stop >= border:
-                    seen(sums, stop, waiting, x, p)
+                    add_signals(sums, stop, waiting, x, p)
                     turn_over(sums, complete)
                     waiting = 0.0
                 t = stop
@@ -156,7 +156,7 @@ def walk(step: Callable[..., None]) -> Callable[..., float]:
                 trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = i_a, i_b, i_c, v
                 trace[j, 3] = grid(end, circuit, period)[0]
         if waiting > 0.0:
-            seen(sums, period.start + steps * h, waiting, x, p)
+            add_signals(sums, period.start + steps * h, waiting, x, p)
         return x[x.size - 1]
 
     return advance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.scope import scope
 from softrig_core.drawing.shapes import Pen
 from softrig_core.drawing.symbols import capacitor, converter, inductor, meter, resistor, source
@@ -40,7 +40,7 @@ class Rectifier(Drawing):
             source(pen, (46, y), 16.0, role=role)
             pen.text((70, y - 7), name, role)
             inductor(pen, (120, y), (170, y), role)
-            share = held(current(row) / self.i_full, 1.0) * 22.0
+            share = limited(current(row) / self.i_full, 1.0) * 22.0
             pen.arrow((220 - share, y - 12), (220 + share, y - 12), role, 2.0)
         pen.line([(46, 52), (46, 140)], "muted", 1.0)
         pen.text((145, 30), "L, R", "muted", anchor="middle")
@@ -53,11 +53,11 @@ class Rectifier(Drawing):
         pen.line([(560, 62), (560, 70)])
         pen.line([(560, 126), (560, 134)])
         pen.text((578, 102), self.load.text_of(row) if self.load.name in row else f"{self.load.rest:.1f} Ω", "line")
-        share = held(self.i_dc(row) / (2.2 * self.v_ref / self.p.R_L), 1.0) * 24.0
+        share = limited(self.i_dc(row) / (2.2 * self.v_ref / self.p.R_L), 1.0) * 24.0
         pen.arrow((500 - share, 48), (500 + share, 48), "fourth", 2.0)
         pen.text((500, 36), self.i_dc.text_of(row), "fourth", anchor="middle")
         scale = 80.0 / (1.5 * self.v_ref)
-        meter(pen, (366, 138), (12.0, 80.0), held(self.v_dc(row) / (1.5 * self.v_ref), 1.0), "alarm")
+        meter(pen, (366, 138), (12.0, 80.0), limited(self.v_dc(row) / (1.5 * self.v_ref), 1.0), "alarm")
         pen.line([(360, 138 - scale * self.v_ref), (384, 138 - scale * self.v_ref)], "reference", 1.5, dashed=True)
         pen.text((30, 192), "Grid currents", "muted")
         scope(pen, (30, 200, 280, 66), past, row, list(zip(self.currents, [r for *_, r in PHASES])), self.i_full)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from softrig_core import jit
 
-from .averaged import seen
+from .averaged import add_signals
 from .circuit import Circuit, Period, grid, grid_of, limited, phases, wanted
 from .quality import PENDING, PLAIN, WINDOWS, sample, turn_over
 
@@ -118,7 +118,7 @@ def advance(
 def settle(sums: Array, t: float, x: Array, p: tuple[Circuit, Period]) -> None:
     """Add the remaining contribution of the newest instant."""
     if sums[PLAIN, PENDING] > 0.0:
-        seen(sums, t, sums[PLAIN, PENDING], x, p)
+        add_signals(sums, t, sums[PLAIN, PENDING], x, p)
     sums[PLAIN, PENDING] = 0.0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings, tail
+from softrig_core.drawing.base import Drawing, Row, limited, readings, tail
 from softrig_core.drawing.projection import Camera, Place
 from softrig_core.drawing.shapes import Pen
 from softrig_core.drawing.state_plane import StatePlane
@@ -39,7 +39,7 @@ class OptimalControl(StatePlane):
         for k, control in enumerate(self.controls):
             x = 500.0 + 26.0 * k
             meter(pen, (x, 290.0), (16.0, 60.0), 0.0, "second")
-            pen.box(x, 260.0, 16.0, -30.0 * held(control(row) / self.reach, 1.0), "second", "second", 0)
+            pen.box(x, 260.0, 16.0, -30.0 * limited(control(row) / self.reach, 1.0), "second", "second", 0)
 
 
 class Spacecraft(Drawing):
@@ -86,5 +86,5 @@ class Spacecraft(Drawing):
         pen.text((410.0, 280.0), "Arrow: angular momentum", "alarm")
 
     def _place(self, row: Row) -> Place:
-        h = [1.5 * held(i * w(row) / self.momentum, 1.3) for i, w in zip(self.inertia, self.rates, strict=True)]
+        h = [1.5 * limited(i * w(row) / self.momentum, 1.3) for i, w in zip(self.inertia, self.rates, strict=True)]
         return h[0], h[1], h[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen, Point
 
 
@@ -32,10 +32,10 @@ class Tank(Drawing):
         wide = 328.0 / self.CELLS
         for k in range(self.CELLS):  # what was commanded a delay ago comes out at the right
             earlier = rows[max(0, len(rows) - 1 - round(k / (self.CELLS - 1) * (len(rows) - 1)))]
-            share = held(self.inflow(earlier) / self.flow, 1.0)
+            share = limited(self.inflow(earlier) / self.flow, 1.0)
             pen.box(31.0 + wide * k, 75.0, wide - 1.0, -24.0 * max(share, 0.0), "accent", "accent", 0)
             pen.box(31.0 + wide * k, 51.0, wide - 1.0, 24.0 * max(-share, 0.0), "alarm", "alarm", 0)  # taken away
-        outflow = max(held(self.inflow(rows[0]) / self.flow, 1.0), 0.0)
+        outflow = max(limited(self.inflow(rows[0]) / self.flow, 1.0), 0.0)
         pen.text((30.0, 40.0), f"pipe, {self.delay.text_of(row, '.2f')} long", "muted")
         filled = min(max(self.level(row) / self.full, 0.0), 1.05)
         pen.box(360.0, 63.0, 10.0 * outflow, 255.0 - 200.0 * filled, "accent", "accent", 0)
@@ -77,7 +77,7 @@ class Pendulum(Drawing):
             pen.circle(self._tip(self.late(row)), 16.0, "reference", "", 1.2)
         pen.line([self.JOINT, self._tip(self.angle(row))], "line", 5.0)
         pen.circle(self._tip(self.angle(row)), 18.0, "line", "accent", 2.0)
-        share = held(self.torque(row) / 1.0, 1.0)
+        share = limited(self.torque(row) / 1.0, 1.0)
         pen.arc(self.JOINT, 34.0, -math.pi / 2, -math.pi / 2 + share * 0.8 * math.pi, "alarm", 4.0)
         pen.circle(self.JOINT, 7.0, "line", "paper", 2.0)
         rows_ = [("Angle", self.angle.text_of(row, ".4f"), "accent")]

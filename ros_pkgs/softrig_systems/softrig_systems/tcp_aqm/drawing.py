@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.scope import scope
 from softrig_core.drawing.shapes import Pen
 
@@ -33,7 +33,7 @@ class Bottleneck(Drawing):
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
         """Senders, queue, link; below the queue over time and values."""
         middle = self.Y + self.HEIGHT / 2
-        share = held(self.window(row) / self.w_max, 1.0)
+        share = limited(self.window(row) / self.w_max, 1.0)
         for k in range(5):
             y = 42.0 + 38.0 * k
             pen.line([(72, y + 9), (self.LEFT - 46, middle)], "muted", 1.2)
@@ -46,13 +46,13 @@ class Bottleneck(Drawing):
         pen.arrow((self.LEFT - 30, middle), (self.LEFT - 30, middle + 70.0 * drop / (drop + 0.05)), "alarm", 3.0)
         pen.text((self.LEFT - 22, middle + 64), f"dropped {self.dropped.text_of(row, '.4f')}", "alarm")
         pen.box(self.LEFT, self.Y, self.WIDTH, self.HEIGHT, "line", "paper", 2.0)
-        filled = held(self.queue(row) / self.full, 1.0)
+        filled = limited(self.queue(row) / self.full, 1.0)
         cell = self.WIDTH / CELLS
         for k in range(CELLS):  # the head of the queue is at the link
             fill = min(max(filled * CELLS - k, 0.0), 1.0)
             right = self.LEFT + self.WIDTH - cell * k - 1.0
             pen.box(right, self.Y + 6, -(cell - 2.0) * fill, self.HEIGHT - 12, "accent", "accent", 0)
-        x = self.LEFT + self.WIDTH * (1.0 - held(self.wanted(row) / self.full, 1.0))
+        x = self.LEFT + self.WIDTH * (1.0 - limited(self.wanted(row) / self.full, 1.0))
         if self.wanted.name:
             pen.line([(x, self.Y - 12), (x, self.Y + self.HEIGHT + 12)], "reference", 2.0, dashed=True)
         pen.arrow((self.LEFT + self.WIDTH, middle), (610, middle), "line", 3.0, 12.0)
