@@ -23,13 +23,26 @@ FIRST = re.compile(
     r'^ *(?:(?:async )?def [^\n]*|\)[^\n]*):\n +r?"{3}((?:Give|What|Whether|Have|Take|Say|Tell|Make)\b[^\n]*)',
     re.MULTILINE,
 )
-# locals and parameters of such names do not say what they hold (expected, printed, received, elapsed, ...)
-VAGUE = r"(found|said|told|came|come|looked|took|taken|spoken|spoke|heard)"
-NAMED = re.compile(
-    rf"^ {{4,}}(?:[\w, ]+, )?{VAGUE}(?:, [\w, ]+)? = |[(,] ?{VAGUE}: |\bfor (?:\w+, )?{VAGUE}(?:, \w+)? in ",
-    re.MULTILINE,
-)
-LEFT = 10  # number of uses left in packages and scripts; lower it with each one that is removed
+# locals, parameters and fields of such names do not say what they hold (expected, printed, received, local, ...)
+VAGUE = (
+    "found said told come came looked took taken spoken spoke heard given mine ours theirs own one who what where here "
+    "there whole gone made of"
+).split()
+NAMED = re.compile(rf"\b({'|'.join(VAGUE)})\b(?:, [\w, ]+ = | = |: | := |(?:, \w+)* (in) )")
+BEFORE = {
+    None: re.compile(r"(?:^ {4,}|[(,] ?\*{0,2}|\blambda (?:\w+, )*)\Z", re.MULTILINE),
+    "in": re.compile(r"\bfor (?:\w+, )*\Z"),
+}
+ALLOWED = {
+    # names of Python, keys of files and parameters of documented functions
+    "what": "environment environments linear_view steady expand session simulate new look",
+    "where": "definition claims requirement_entry findings instance",
+    "of": "definition",
+    # texts of generated code
+    "found": "cdr",
+    # the publisher of a link and the author of a line, beside `name` of the same row
+    "who": "sender control",
+}
 # parts of names of functions, classes and fields; `tell` is the standard name beside `ask`
 DEFINED = re.compile(
     r"^ *(?:async )?def (\w+)|^ *class (\w+)|\bself\.(\w+)(?:: [^=\n]+)? = |^    (\w+): ", re.MULTILINE
@@ -42,7 +55,7 @@ LITERAL = re.compile(r'"[^"\n]* [^"\n]*"')
 
 def vague(source: str) -> list[str]:
     """Return the locals and parameters with a name that does not say what they hold."""
-    return ["".join(names) for names in NAMED.findall(source)]
+    return [m[1] for m in NAMED.finditer(source) if BEFORE[m[2]].search(source[max(0, m.start() - 30) : m.start()])]
 
 
 def of_speech(source: str) -> list[str]:
@@ -76,8 +89,11 @@ def test_a_docstring_begins_with_what_its_function_does():
 
 
 def test_locals_and_parameters_say_what_they_hold():
-    uses = [(name, word) for name, source in SOURCES.items() for word in vague(source)]
-    assert len(uses) <= LEFT, uses
+    packages = {
+        name: source for name, source in SOURCES.items() if name.startswith("ros_pkgs") and "/test/" not in name
+    }
+    uses = {(Path(name).stem, word) for name, source in packages.items() for word in vague(source)}
+    assert uses == {(name, word) for word, names in ALLOWED.items() for name in names.split()}
 
 
 def test_functions_classes_and_fields_say_what_they_do_or_hold():
@@ -90,6 +106,11 @@ def test_the_words_are_found_in_prose_and_in_literals_only():
     assert prose("a\n```sh\nanew\n```\n`anew` b\n\n    anew\n").split() == ["a", "b"]
     assert FIRST.findall('def f(x) -> int:\n    """Give x."""\ndef g():\n    """Return x."""\n') == ['Give x."""']
     assert vague("told.x = 1\ndef f(found: int, x):\n    said, y = x\n    return said.told") == ["found", "said"]
+    assert vague("[x for x, own in given] or (made := 1, one in own, (lambda here: 2), *there)") == [
+        "own",
+        "made",
+        "here",
+    ]
     text = "class ToldNow:\n    heard: int\ndef tell(x):\n    def take(x):\n"
     text += "    self._said: int = self.told\n    self.taken = 1\n"
     assert of_speech(text + "take(x)\nself.came == 2\n") == ["ToldNow", "heard", "take", "_said", "taken"]

@@ -880,7 +880,7 @@ def test_a_restarted_node_reads_from_the_files_what_was_published_and_which_node
     files = Files(recording(more), recording({}), {"quiet": 70 * MS, "sender": math.inf}, frozenset({"sender"}))
     back._open_files = lambda: files
     assert back.read_earlier()
-    assert back.gone == {"sender"}
+    assert back.ended == {"sender"}
     assert [row.received_any for row in rows.values()] == [True, False, True]
     assert (reader.table.missing, reader.values["x"]) == (0, (5.5,))
     assert not back.read_earlier()  # no further node has left
@@ -905,7 +905,7 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
     reader, rows, back, seen, *_ = ended
     assert len(seen) == reader.schedule.count()  # all messages had been published
     assert rows["s"].reached == 200 * MS
-    assert back.gone == {"quiet"}
+    assert back.ended == {"quiet"}
     assert [row.received_any for row in rows.values()] == [False, True]
 
 

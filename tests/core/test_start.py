@@ -579,9 +579,9 @@ def test_the_files_of_a_run_show_the_progress_of_its_nodes(tmp_path):
         writer.close()
     files = read_files(tmp_path, "me", ["a", "b", "c"])
     assert files.answered == {"a": 5.0, "b": float("inf"), "c": 0.0}
-    assert files.gone == frozenset("b")
+    assert files.ended == frozenset("b")
     assert {n: t.data for n, t in files.recording.topics.items()} == {"x": [b"x"], "y": [b"y"]}
-    assert {n: t.data for n, t in files.own.topics.items()} == {"mine": [b"mine"]}
+    assert {n: t.data for n, t in files.local.topics.items()} == {"mine": [b"mine"]}
 
 
 def test_ticks_of_a_process_delay_a_timer_by_at_most_five_ms_and_stop_at_a_missing_one(monkeypatch):

@@ -103,14 +103,14 @@ class Comparison:
         Number of messages that had a partner.
     notes : list of str
         What was done otherwise than asked, and why.
-    whole : bool
+    complete : bool
         Whether all was read that the bags claim to hold.
     """
 
     topics: list[TopicComparison]
     paired: int = 0
     notes: list[str] = field(default_factory=list)
-    whole: bool = True
+    complete: bool = True
 
     @property
     def unrelated(self) -> bool:
@@ -135,7 +135,7 @@ class Comparison:
             "first": self.first and asdict(self.first),
             "topics": [{"equal": t.equal, **asdict(t)} for t in self.topics],
             "notes": self.notes,
-            "whole": self.whole,
+            "whole": self.complete,
         }
         return json.dumps(plain(content), indent=2)
 
@@ -148,7 +148,7 @@ class Comparison:
             ]
             lines.append(f"{t.topic}: {counts} messages, {', '.join(faults) or 'equal'}")
             lines += [f"    {name}: largest deviation {value:.3g}" for name, value in t.largest.items()]
-        agree = "the bags agree" if self.whole else "the messages that were read agree; the bags claim others"
+        agree = "the bags agree" if self.complete else "the messages that were read agree; the bags claim others"
         lines.append(f"first difference: {self.first}" if self.first else agree)
         return "\n".join(lines)
 

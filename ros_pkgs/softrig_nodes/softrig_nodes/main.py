@@ -144,8 +144,10 @@ def usage(name: str, block_class: type[Block]) -> str:
     for title, ports in (("reads", inputs), ("publishes", outputs)):
         lines += [f"  {title} {p.topic} ({p.msgtype}: {', '.join(p.labels)})" for p in ports]
     if inputs and not issubclass(block_class, Plant):
-        own = block_class.refused is not Block.refused
-        text = (block_class.refused.__doc__ or "").strip().splitlines()[0] if own else "Its last outputs are held."
+        overridden = block_class.refused is not Block.refused
+        text = (
+            (block_class.refused.__doc__ or "").strip().splitlines()[0] if overridden else "Its last outputs are held."
+        )
         lines += ["", f"At a tick of which an input is refused: {text}"]
     lines += ["", "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):"]
     for d in [*declarations(block_class.Params), *declarations(RunOptions, "run.")]:

@@ -48,7 +48,7 @@ class Outcome:
         Number of runs that the reduction needed.
     broken : list of (dict, str)
         Changes of each run that failed, and the reason of the failure.
-    own : tuple of str
+    published : tuple of str
         Those of `names` whose bounds apply to the unchanged machine.
     not_judged : tuple of str
         Requirements of the scenario that were left out, because they have such bounds and were not requested.
@@ -66,7 +66,7 @@ class Outcome:
     small_margins: dict[str, float | None]
     shrinking: int
     broken: list[tuple[dict[str, Any], str]]
-    own: tuple[str, ...] = ()
+    published: tuple[str, ...] = ()
     not_judged: tuple[str, ...] = ()
     machine: str = ""
 
@@ -78,7 +78,7 @@ class Outcome:
     @property
     def bounds(self) -> list[str]:
         """Describe which bounds are published for the unchanged machine: those that were requested, and the others."""
-        messages = {"asked by name": self.own, "not judged": self.not_judged}
+        messages = {"asked by name": self.published, "not judged": self.not_judged}
         return [f"{how}: {', '.join(names)}, published for {self.machine}" for how, names in messages.items() if names]
 
 
@@ -93,7 +93,7 @@ class Prepared(NamedTuple):
         Their margins without changes.
     content : dict
         What makes it this one and no other.
-    own, not_judged, machine
+    published, not_judged, machine
         See `Outcome`.
     """
 
@@ -101,7 +101,7 @@ class Prepared(NamedTuple):
     names: tuple[str, ...]
     nominal: dict[str, float | None]
     content: dict[str, Any]
-    own: tuple[str, ...] = ()
+    published: tuple[str, ...] = ()
     not_judged: tuple[str, ...] = ()
     machine: str = ""
 

@@ -135,7 +135,7 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
         "over": task.over,
         "requirements": list(outcome.names),
         "not_judged": list(outcome.not_judged),
-        "published_for": outcome.machine if outcome.own or outcome.not_judged else "",
+        "published_for": outcome.machine if outcome.published or outcome.not_judged else "",
         "runs": outcome.search.runs,
         "least": outcome.search.least,
         "least_at_corners": outcome.search.corners,

@@ -71,7 +71,7 @@ def _without_faults(space: Space, case: Case) -> Iterator[Case]:
 
 def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
     """Move each parameter to its nominal value, or by halving as near to it as the violation allows."""
-    for over, target, nominal, integral in zip(space.overs, space.targets, space.nominal, space.whole, strict=True):
+    for over, target, nominal, integral in zip(space.overs, space.targets, space.nominal, space.integral, strict=True):
         scenario, overrides = case
         if target not in overrides or over.on_signal:
             continue

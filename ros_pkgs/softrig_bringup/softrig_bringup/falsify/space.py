@@ -90,7 +90,7 @@ class Space:
         Of each: the parameter that is set, ``node.parameter``.
     nominal : tuple
         Of each: its value in the scenario as it is; None for profiles.
-    whole : tuple of bool
+    integral : tuple of bool
         For each: whether it accepts integers only.
     """
 
@@ -98,7 +98,7 @@ class Space:
     overs: tuple[Over, ...]
     targets: tuple[str, ...]
     nominal: tuple[Any, ...]
-    whole: tuple[bool, ...]
+    integral: tuple[bool, ...]
 
     @property
     def size(self) -> int:
@@ -113,7 +113,7 @@ class Space:
         """Return the changes of a point of the unit cube."""
         result: dict[str, Any] = {}
         first = 0
-        for over, target, integral in zip(self.overs, self.targets, self.whole, strict=True):
+        for over, target, integral in zip(self.overs, self.targets, self.integral, strict=True):
             values = [over.value(u) for u in point[first : first + over.size]]
             values = [round(v) for v in values] if integral else values
             first += over.size

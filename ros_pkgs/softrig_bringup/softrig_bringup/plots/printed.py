@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Printed
 
 
-def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
+def printed(figure: Figure, style: Mapping[str, Any] | None = None) -> Printed:
     """Redraw a picture with matplotlib.
 
     Parameters
     ----------
-    own : mapping
+    style : mapping
         Settings of matplotlib in addition to those of `softrig_bringup.plots.style`.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure as New
 
-    with rc_context(look.style() | {"lines.linewidth": figure.line} | dict(own or {})):
+    with rc_context(look.style() | {"lines.linewidth": figure.line} | dict(style or {})):
         paper = New(figsize=figure.size, dpi=figure.dpi, layout="constrained")
         known: dict[int, Any] = {id(figure): paper}
         for call in figure.calls:
@@ -39,7 +39,9 @@ def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
             kwargs = {name: _counterpart(value, known, target) for name, value in call.kwargs.items()}
             result = getattr(target, call.name)(*args, **kwargs)
             if isinstance(call.result, np.ndarray | list):
-                known |= {id(own): there for own, there in zip(np.ravel(call.result), np.ravel(result), strict=True)}
+                known |= {
+                    id(shape): drawn for shape, drawn in zip(np.ravel(call.result), np.ravel(result), strict=True)
+                }
             elif call.result is not None:
                 known[id(call.result)] = result
     return paper

@@ -104,7 +104,7 @@ def in_order(
         if node in done:
             return
         if node in path:
-            cycle = " -> ".join(one.name for one in [*path[path.index(node) :], node])
+            cycle = " -> ".join(member.name for member in [*path[path.index(node) :], node])
             raise ScenarioError(f"cycle without a plant in it: {cycle}; no tick could ever be answered")
         path.append(node)
         for source in sources(node):

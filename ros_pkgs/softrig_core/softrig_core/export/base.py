@@ -211,9 +211,9 @@ class Base:
         if isinstance(value.kind, Tuple):
             if value.c in self.unit.fixed:
                 return self.parts_of(self.unit.fixed[value.c], node)
-            whole = self._simple(value)
+            simple = self._simple(value)
             return [
-                Value(k, "0" if isinstance(k, Absent) else f"{whole.c}.{identifier(n)}")
+                Value(k, "0" if isinstance(k, Absent) else f"{simple.c}.{identifier(n)}")
                 for k, n in zip(value.kind.items, value.kind.names, strict=True)
             ]
         if isinstance(value.kind, Table):

@@ -260,7 +260,7 @@ class _Files:
             handed.append(value.c)
         kinds.append(form.state)
         if form.method != "go_on":
-            kinds += [INT, *(input_kind(p) for p in self.inputs if p.name in form.there)]
+            kinds += [INT, *(input_kind(p) for p in self.inputs if p.name in form.present)]
         handed += [None] * (len(kinds) - len(handed))
         return self.unit.call(self.law.roots[form], tuple(kinds), tuple(handed), True)
 
@@ -560,10 +560,10 @@ class _Files:
         tests = [f"s->form == {self.forms.index(form.state)}u"] if len(self.forms) > 1 else []
         for port in present:
             if port.held:
-                tests.append(f"{'' if port.name in form.there else '!'}in->has_{identifier(port.name)}")
+                tests.append(f"{'' if port.name in form.present else '!'}in->has_{identifier(port.name)}")
         args = ["s", *(["x"] if not isinstance(form.state, Absent) else []), *["t_ns"] * (form.method != "go_on")]
         for port in present:
-            if port.name in form.there:
+            if port.name in form.present:
                 name = identifier(port.name)
                 numbers = ", ".join(f"in->{name}[{i}]" for i in range(port.size)) or "0"
                 stamped = f"in->{name}_stamp_ns, {{ {numbers} }}" if port.delayed else numbers

@@ -36,7 +36,7 @@ class Form:
 
     method: str
     state: Kind
-    there: tuple[str, ...]
+    present: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def law_of(
         value = specialise(program, method, [Static(block, (0,)), state, Dynamic("t", call.t or 1)], values, handed)
         lines = _answer(program, form.method, value, outputs)
         arrays[form] = tuple(sorted(handed))
-        rows = [f"i_{p.name}" for p in inputs if p.name in form.there]
+        rows = [f"i_{p.name}" for p in inputs if p.name in form.present]
         head = f"def {roots[form]}({', '.join(['c', 'n', *arrays[form], 'x', 't', *rows])}):"
         program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
     if type(block).go_on is not Block.go_on:
@@ -243,14 +243,14 @@ class Text:
     def __init__(self, block: Block, law: Law, inputs: Sequence[Port]) -> None:
         self.law, self.inputs = law, inputs
         self.scope, self.handed = _scope(block, law)
-        self.roots = {(form.method, _sizeless(form.state), form.there): form for form in law.roots}
+        self.roots = {(form.method, _sizeless(form.state), form.present): form for form in law.roots}
         self.constants = law.program.constants([block, block])
 
     def answer(self, call: Call) -> Any:
         """Return the answer to a call; any error that this raises discards the call."""
         x = packed(call.x)
         form = self.roots[call.method, _sizeless(kind_of(x)), present_of(call)]
-        ports = [] if form.method == "outputs" else [p for p in self.inputs if p.name in form.there]
+        ports = [] if form.method == "outputs" else [p for p in self.inputs if p.name in form.present]
         arrays = [self.handed[name] for name in self.law.arrays[form]]
         rows = [_row(call.inputs[p.name]) for p in ports]
         return self.scope[self.law.roots[form]](self.constants, [0, 0, 0], *arrays, x, call.t, *rows)

@@ -128,7 +128,7 @@ class Outline:
 
     Parameters
     ----------
-    given : str
+    formula : str
         The formula as it was written.
     parsed, tree : plain data
         As sentil reads it; and with intervals in ns, and a literal with a name for the number of this name.
@@ -136,7 +136,7 @@ class Outline:
         By variable.
     """
 
-    given: str
+    formula: str
     parsed: Tree
     tree: Tree
     conditions: Mapping[str, Condition]
@@ -182,7 +182,7 @@ class Outline:
         units : mapping
             Of the names that are no numbers.
         """
-        times = [part.strip() for result in _INTERVAL.finditer(self.given) for part in result.groups()]
+        times = [part.strip() for result in _INTERVAL.finditer(self.formula) for part in result.groups()]
         if any(part != "inf" and float(part) for part in times if _PLAIN.fullmatch(part)):
             return True
         return any(_compares_number(kind, body, units) for kind, body in nodes(self.parsed))

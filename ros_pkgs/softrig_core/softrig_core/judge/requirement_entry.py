@@ -41,7 +41,7 @@ class Requirement(Entry):
 
 
 Required = Annotated[
-    Requirement, BeforeValidator(lambda given: {"formula": given} if isinstance(given, str) else given)
+    Requirement, BeforeValidator(lambda value: {"formula": value} if isinstance(value, str) else value)
 ]
 
 

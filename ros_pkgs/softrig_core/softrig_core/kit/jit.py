@@ -165,7 +165,7 @@ class Jit:
         # The generated call passes exactly these arguments, so a function with defaults is called as it is.
         if not tests or names.count(",") >= MOST_PARTS or self.py_func.__defaults__:
             return None
-        text = f"def parted({names}):\n    return function({', '.join(part.made for part in parts)})\n"
+        text = f"def parted({names}):\n    return function({', '.join(part.rebuilt for part in parts)})\n"
         tokens = (self.digest(), text, *(f"{name} {t.__module__}.{t.__qualname__}" for name, t in kinds.items()))
         digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()
         # numba looks for the module of a function that it loads from the cache.
@@ -177,7 +177,7 @@ class Jit:
         # A class that cannot be imported would be another class in the next process, so such code is not stored.
         parted._cache = Cache(self.py_func.__qualname__, digest, (b"__main__", b"<locals>"))
         scope |= {"parted": parted, "whole": self.dispatcher(numba)}
-        params, handed = ", ".join(f"a{k}" for k, _ in enumerate(arguments)), ", ".join(part.handed for part in parts)
+        params, handed = ", ".join(f"a{k}" for k, _ in enumerate(arguments)), ", ".join(part.passed for part in parts)
         test = f"if {' and '.join(tests)}:\n        return parted({handed})"
         text = f"def call({params}):\n    {test}\n    return whole({params})\n"
         exec(compile(text, f"<parts of {self.py_func.__qualname__}>", "exec"), scope)
@@ -275,13 +275,13 @@ class _Parts(NamedTuple):
     """The parts of an argument: their names, the code that passes them and rebuilds it, and the tests of its type."""
 
     names: list[str]
-    handed: str
-    made: str
+    passed: str
+    rebuilt: str
     tests: list[str]
 
 
 def _parts(value: Any, path: str, kinds: dict[str, type]) -> _Parts:
-    """Return the parts of the argument at a path, and the classes of tuples by their names in `made`."""
+    """Return the parts of the argument at a path, and the classes of tuples by their names in `rebuilt`."""
     word = path.replace("[", "_").replace("]", "")
     if not isinstance(value, tuple) or not value:
         return _Parts([word], path, word, [])
@@ -294,8 +294,8 @@ def _parts(value: Any, path: str, kinds: dict[str, type]) -> _Parts:
         kinds[f"t{word}"] = kind
     return _Parts(
         [name for part in items for name in part.names],
-        ", ".join(part.handed for part in items) if any(part.tests for part in items) else f"*{path}",
-        f"{'' if kind is tuple else f't{word}'}({''.join(f'{part.made}, ' for part in items)})",
+        ", ".join(part.passed for part in items) if any(part.tests for part in items) else f"*{path}",
+        f"{'' if kind is tuple else f't{word}'}({''.join(f'{part.rebuilt}, ' for part in items)})",
         tests + [test for part in items for test in part.tests],
     )
 

@@ -239,7 +239,7 @@ class Engine:
         progress.
         """
         fit = self._fit
-        if fit is None or self._alone is None or fit.kept.made or not self._typed:
+        if fit is None or self._alone is None or fit.kept.compiled or not self._typed:
             return False
         # Messages must be served while the text is compiled, which takes seconds.
         # A run that ends earlier must not wait for the compiler, so the thread does not keep the process alive.

@@ -49,7 +49,7 @@ class CachedText:
         See `kinds_of`.
     go : int
         Ticks that are answered in one call.
-    made : bool
+    compiled : bool
         Whether it is compiled, or about to be.
     """
 
@@ -57,7 +57,7 @@ class CachedText:
     text: RigText
     function: Callable[..., Any] = field(repr=False)
     go: int
-    made: bool = False
+    compiled: bool = False
 
 
 _texts: list[CachedText] = []
@@ -302,7 +302,7 @@ class Fitted:
             State and last outputs after these ticks; None if no tick was run.
         """
         kept = self.kept
-        self.discarded, self.odd, kept.made = False, "", True
+        self.discarded, self.odd, kept.compiled = False, "", True
         while True:
             handed = self._handed()
             n = self._n
@@ -346,7 +346,7 @@ class Fitted:
 
     def compilation(self, k: int) -> Callable[[], None]:
         """Return a function that compiles the text by a call that answers no tick."""
-        self.kept.made = True
+        self.kept.compiled = True
         self.begin(k, k)
         arguments = k, k, *self._handed()
 

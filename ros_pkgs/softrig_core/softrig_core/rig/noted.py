@@ -28,7 +28,7 @@ class _Noting(Members):
         return value
 
 
-class _Made(NamedTuple):
+class _Noted(NamedTuple):
     objects: Sequence[Any]
     values: Hashable
     params: Mapping[str, Any]
@@ -40,7 +40,7 @@ class Noted(Generic[A]):
     """The newest result of each of some objects of a rig, with all that it was made of."""
 
     def __init__(self) -> None:
-        self._kept: dict[int, _Made] = {}
+        self._kept: dict[int, _Noted] = {}
 
     def __call__(self, rig: Members, objects: Sequence[Any], values: Hashable, make: Callable[[Members], A]) -> A:
         """Return what was made of another rig if nothing that it depends on differs, else make it.
@@ -65,19 +65,19 @@ class Noted(Generic[A]):
         if len(self._kept) >= KEPT:
             self._kept.clear()
         params = {m.name: m.params for m in rig.members}
-        notes = {place: pickle.dumps(value) for place, value in noting.notes.items()}
+        notes = {reference: pickle.dumps(value) for reference, value in noting.notes.items()}
         # The objects are stored too: while they live, no other object can have their identity.
-        self._kept[id(objects[0])] = _Made(objects, values, params, notes, result)
+        self._kept[id(objects[0])] = _Noted(objects, values, params, notes, result)
         return result
 
 
-def _has_same(rig: Members, made: _Made) -> bool:
+def _has_same(rig: Members, known: _Noted) -> bool:
     """Return whether all parameters that were read have the same values."""
-    if not made.notes:
+    if not known.notes:
         return True
     params = {m.name: m.params for m in rig.members}
     # Equal parameters of a node are mostly one object. In bytes, 1, 1.0 and True differ, and so do 0.0 and -0.0.
     return all(
-        params.get(node) is made.params[node] or pickle.dumps(rig.parameter(node, name)) == value
-        for (node, name), value in made.notes.items()
+        params.get(node) is known.params[node] or pickle.dumps(rig.parameter(node, name)) == value
+        for (node, name), value in known.notes.items()
     )

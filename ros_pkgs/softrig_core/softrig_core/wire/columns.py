@@ -33,13 +33,13 @@ def spacious(count: int, size: int) -> NDArray[np.float64]:
 class Columns(NamedTuple):
     """Messages of one layout as numbers: their times in ns, shape (n,), and all their numbers, (n, size).
 
-    `whole` is the memory of the numbers where it has free rows at both ends that belong to no other messages.
+    `room` is the memory of the numbers where it has free rows at both ends that belong to no other messages.
     """
 
     times: NDArray[np.int64]
     values: NDArray[np.float64]
     layout: Layout
-    whole: NDArray[np.float64] | None = None
+    room: NDArray[np.float64] | None = None
 
     @classmethod
     def of_node(
@@ -75,15 +75,15 @@ class Columns(NamedTuple):
     ) -> NDArray[np.float64] | None:
         """Return a column with free rows before and after it, without a copy; None if there is no room for them."""
         sizes = [sum(map(len, parts)) for parts in (before, after)]
-        if self.whole is None or max(sizes) > SPARE:
+        if self.room is None or max(sizes) > SPARE:
             return None
         offset = first = SPARE - sizes[0]
         for parts in (before, after):
             for part in parts:
-                self.whole[k, offset : offset + len(part)] = part
+                self.room[k, offset : offset + len(part)] = part
                 offset += len(part)
             offset = SPARE + len(self.times)
-        return self.whole[k, first : offset + sizes[1]]
+        return self.room[k, first : offset + sizes[1]]
 
     def encoded(self, count: int) -> NDArray[np.uint8]:
         """Return the bytes of the messages, a row each; `count` is the number of earlier messages of the topic."""
@@ -245,7 +245,7 @@ def joined(parts: Sequence[Columns | Stored], k: int) -> NDArray[np.float64]:
         return columns[0] if is_long(columns[0]) else np.ascontiguousarray(columns[0])
     longest = max(range(len(parts)), key=lambda i: parts[i].number)
     result, part = None, parts[longest]
-    if isinstance(part, Columns) and part.whole is not None:
+    if isinstance(part, Columns) and part.room is not None:
         result = part.between(k, columns[:longest], columns[longest + 1 :])
     return np.concatenate(columns) if result is None else result
 

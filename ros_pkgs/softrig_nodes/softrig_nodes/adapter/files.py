@@ -23,14 +23,14 @@ class Files:
         Of its senders. Messages from outside and changes of its parameters are in its own recording.
     answered : mapping of str to float
         By node: the time before which it has answered all its ticks, ns.
-    gone : set of str
+    ended : set of str
         Nodes that have answered their last tick and left.
     """
 
     recording: Recording
-    own: Recording
+    local: Recording
     answered: Mapping[str, float] = field(default_factory=dict)
-    gone: frozenset[str] = frozenset()
+    ended: frozenset[str] = frozenset()
 
 
 def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:

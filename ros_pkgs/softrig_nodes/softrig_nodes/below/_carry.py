@@ -18,9 +18,9 @@ from softrig_core.kit._jit_cache import Cache
 def _call(typing: Any, function: Any, a: Any, b: Any, c: Any) -> Any:
     """Call the function of C at an address, with three whole numbers or addresses."""
 
-    def codegen(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = ir.FunctionType(ir.IntType(32), [ir.IntType(64)] * 3)
-        return builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
 
     return types.int32(*[types.int64] * 4), codegen
 
@@ -28,7 +28,7 @@ def _call(typing: Any, function: Any, a: Any, b: Any, c: Any) -> Any:
 call: Any = intrinsic(_call)
 
 
-def carry(slots, message, places, failed):  # type: ignore[no-untyped-def] # numba compares annotations, too
+def carry(slots, message, addresses, failed):  # type: ignore[no-untyped-def] # numba compares annotations, too
     """Publish the messages of a ring, in their order, until one has no publisher.
 
     Parameters
@@ -37,13 +37,13 @@ def carry(slots, message, places, failed):  # type: ignore[no-untyped-def] # num
         Publisher, address and length of each message.
     message : array of int64, shape (8,)
         The structure in which rcl is given a message.
-    places : tuple of int
+    addresses : tuple of int
         Address of that structure, of the semaphores of full and of free slots, of six functions; the length of a nap in
         us, and how many follow each other.
     failed : array of int64, shape (1,)
         Gets what rcl returns for a message that it does not publish.
     """
-    whole, full, free, wait, try_to_wait, post, nap, publish, reset, pause, naps = places
+    address, full, free, wait, try_to_wait, post, nap, publish, reset, pause, naps = addresses
     k, idle = 0, 0
     while True:
         if call(try_to_wait, full, 0, 0) != 0:
@@ -62,7 +62,7 @@ def carry(slots, message, places, failed):  # type: ignore[no-untyped-def] # num
         message[0] = slots[k, 1]
         message[1] = slots[k, 2]
         message[2] = slots[k, 2]
-        result = call(publish, slots[k, 0], whole, 0)
+        result = call(publish, slots[k, 0], address, 0)
         if result != 0:
             failed[0] = result
             call(reset, 0, 0, 0)

@@ -144,8 +144,8 @@ def tested() -> bool:
     seen = []
 
     def publish(publisher: int, message: Any, allocation: Any) -> int:
-        given = message.contents
-        seen.append((publisher, ctypes.string_at(given.buffer, given.length), given.capacity, allocation))
+        contents = message.contents
+        seen.append((publisher, ctypes.string_at(contents.buffer, contents.length), contents.capacity, allocation))
         return len(seen) - 1
 
     carrier, content = Carrier(_PUBLISH(publish)), b"content"
@@ -158,13 +158,13 @@ def tested() -> bool:
 
 def _sized() -> bool:
     """Return whether rcl fills its structure as `Bytes` describes it."""
-    rcl, made = ctypes.CDLL(importlib.import_module("rclpy._rclpy_pybind11").__file__), Bytes()
-    rcl.rcutils_get_default_allocator.restype = type(made.allocator)
+    rcl, array = ctypes.CDLL(importlib.import_module("rclpy._rclpy_pybind11").__file__), Bytes()
+    rcl.rcutils_get_default_allocator.restype = type(array.allocator)
     allocator = rcl.rcutils_get_default_allocator()
-    if rcl.rcutils_uint8_array_init(ctypes.byref(made), ctypes.c_size_t(SIZE), ctypes.byref(allocator)):
+    if rcl.rcutils_uint8_array_init(ctypes.byref(array), ctypes.c_size_t(SIZE), ctypes.byref(allocator)):
         return False
-    result = bool(made.buffer) and (made.length, made.capacity) == (0, SIZE)
-    rcl.rcutils_uint8_array_fini(ctypes.byref(made))
+    result = bool(array.buffer) and (array.length, array.capacity) == (0, SIZE)
+    rcl.rcutils_uint8_array_fini(ctypes.byref(array))
     return result
 
 

@@ -87,7 +87,7 @@ class _Recorded:
 
     def __init__(self, row: Sender, files: Files, outside: bool) -> None:
         self.row, self._node = row, row.node
-        recording = files.own if outside else files.recording
+        recording = files.local if outside else files.recording
         topic = recording.topics.get(relative(row.node.middleware.resolve(row.port.topic)))
         self.times: list[int] = [] if topic is None else topic.times
         self.data: list[bytes] = [] if topic is None else topic.data
@@ -153,7 +153,7 @@ class Comeback:
     def __init__(self, drive: Lockstep, look_up: Callable[[], Files]) -> None:
         self._drive, self._node, self._open_files = drive, drive.node, look_up
         files = self._files = look_up()
-        self.gone = set(files.gone)
+        self.ended = set(files.ended)
         self._reported_at = time.monotonic()
         rows = [*drive.senders.rows, *drive.senders.unpaced]
         # Acknowledgements are not recorded; the status files show which ticks a node has answered.
@@ -166,7 +166,7 @@ class Comeback:
         drive, node = self._drive, self._node
         step = node.step
         # Changes that people made while the node ran are only in its own record.
-        changes = [Change(t, values) for t, name, values in recorded(self._files.own) if name == node.middleware.name]
+        changes = [Change(t, values) for t, name, values in recorded(self._files.local) if name == node.middleware.name]
         step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
         published = drive.last_published
         assert published is not None
@@ -216,7 +216,7 @@ class Comeback:
             row.resume(used, reached)
             # A node that has left publishes nothing more, so `Lockstep._leave` must not wait for its first sign of
             # life.
-            row.received_any = row.who in self.gone
+            row.received_any = row.who in self.ended
             # No tick waits for an unpaced row, so it counts as complete.
             row.have = row in drive.senders.unpaced
             # Acknowledgements up to `reached` are ignored as repeated ones, so the messages that they announced are
@@ -238,8 +238,8 @@ class Comeback:
         have left.
         """
         files = self._files = self._open_files()
-        new = files.gone - self.gone
-        self.gone |= new
+        new = files.ended - self.ended
+        self.ended |= new
         for row in (*self._drive.senders.rows, *self._drive.senders.unpaced):
             row.received_any = row.received_any or row.who in new
             # A node that is still there repeats its messages itself; one that has left does not, so all of its messages

@@ -120,7 +120,7 @@ class Lockstep(Link):
         if node.files is not None:
             self._comeback = Comeback(self, node.files)
             self._comeback.go(self._turns.ticks)
-            ended = self._comeback.gone
+            ended = self._comeback.ended
 
         def shake() -> Handshake:
             return Handshake(

@@ -51,8 +51,8 @@ class TableError(ValueError):
 class Row:
     """A row of a table, with its line for messages."""
 
-    def __init__(self, where: str, values: Mapping[str, str], decimal_comma: bool) -> None:
-        self.where = where
+    def __init__(self, source: str, values: Mapping[str, str], decimal_comma: bool) -> None:
+        self.source = source
         self.values = values
         self._comma = decimal_comma
 
@@ -74,9 +74,9 @@ class Row:
             result = float(text)
         except ValueError:
             hint = "; it has a decimal comma in a file with decimal points" if text.count(",") == 1 else ""
-            raise TableError(f"{self.where}, column {column}: {shown!r} is no number{hint}") from None
+            raise TableError(f"{self.source}, column {column}: {shown!r} is no number{hint}") from None
         if not math.isfinite(number_of(text)):
-            raise TableError(f"{self.where}, column {column}: {shown}, expected a finite number")
+            raise TableError(f"{self.source}, column {column}: {shown}, expected a finite number")
         return result
 
 

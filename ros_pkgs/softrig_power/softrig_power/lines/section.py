@@ -130,5 +130,5 @@ class Section:
         return _symmetric(0.5 * (both + apart), 0.5 * (both - apart))
 
 
-def _symmetric(own: complex, mutual: complex) -> Complex:
-    return np.array([[own, mutual], [mutual, own]])
+def _symmetric(diagonal: complex, mutual: complex) -> Complex:
+    return np.array([[diagonal, mutual], [mutual, diagonal]])
