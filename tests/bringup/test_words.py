@@ -24,8 +24,11 @@ FIRST = re.compile(
     re.MULTILINE,
 )
 # locals, parameters and fields of such names do not say what they hold (expected, printed, received, local, ...)
-VAGUE = ["found", "said", "told", "come", "came", "looked", "took", "taken", "spoken", "spoke", "heard", "given", "mine", "ours", "theirs", "own", "one", "who", "what", "where", "here", "there", "whole", "gone", "made", "of"]
-NAMED = re.compile(rf"\b({'|'.join(VAGUE)})\b(?:, [\w, ]+ = | = |: | := |(?:, \w+)* (in) )")
+VAGUE = (
+    "found|said|told|came|come|looked|took|taken|spoken|spoke|heard|given|mine|ours|theirs|own|one|who|what|where|here|"
+    "there|whole|gone|made|of"
+)
+NAMED = re.compile(rf"\b({VAGUE})\b(?:, [\w, ]+ = | = |: | := |(?:, \w+)* (in) )")
 BEFORE = {
     None: re.compile(r"(?:^ {4,}|[(,] ?\*{0,2}|\blambda (?:\w+, )*)\Z", re.MULTILINE),
     "in": re.compile(r"\bfor (?:\w+, )*\Z"),

@@ -57,7 +57,7 @@ class ResultsFolder:
     ----------
     path : Path
         A new folder, an empty one, or one with the results of an earlier run; it may also contain other files.
-    ours : pattern
+    pattern : pattern
         Names that this kind of run writes at the top level of the folder.
 
     Attributes

@@ -37,7 +37,7 @@ def visit_pairs(msgtype: str, a: Groups, b: Groups, visit: Visit) -> None:
 
     Parameters
     ----------
-    one, two
+    a, b
         From `groups_of`, each of all rows.
     visit : callable
         See `Visit`; called for each field of messages of like shapes.

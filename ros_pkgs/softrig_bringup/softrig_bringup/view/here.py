@@ -47,10 +47,10 @@ class SessionSource(Growing):
     call : callable
         Called with a function that must run in the thread of the ticks, because Bokeh handles browsers in its own
         threads.
-    place : callable, optional
+    folder : callable, optional
         Returns the folder of the run; it is called again after the run has gone back to an earlier time. The folder's
         `log` is written while the run continues. If the process is killed, the abandoned branches are also stored
-        there. Without `place` nothing is stored.
+        there. Without `folder` nothing is stored.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ class Page:
     control : Control
     figures : callable
         Returns the newest figures, and whether they are provisional.
-    who : str
+    author : str
         Name of this browser on all pages.
     how : str
         Mode and placement of the run.

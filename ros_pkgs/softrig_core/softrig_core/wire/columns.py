@@ -114,7 +114,7 @@ class Rows:
         The file stays open, so the rows can be read even after it was removed.
     width : int
         Numbers of a row.
-    places : list of (int, int)
+    stretches : list of (int, int)
         Where rows follow each other without a gap: the first byte, and how many rows there are.
     """
 

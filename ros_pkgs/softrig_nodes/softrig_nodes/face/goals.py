@@ -150,7 +150,7 @@ class Tolerances:
 
     Parameters
     ----------
-    given : sequence of control_msgs/JointTolerance
+    tolerances : sequence of control_msgs/JointTolerance
     joints : sequence of str
         Of the reference.
 

@@ -489,7 +489,7 @@ class Ticks(Pace):
     ----------
     silent_rows : iterable of Paired
         Rows of these ports.
-    then : callable
+    done : callable
         Called after each.
     """
 

@@ -79,7 +79,7 @@ class Acknowledgements(Sender):
     Parameters
     ----------
     table : LiveSenders
-    who : str
+    name : str
         The node.
     rows : sequence of (Sporadic, str)
         Rows that we read from it, and the names of their ports.

@@ -118,7 +118,7 @@ def mismatch(line: Model, ends: Array, first: int, count: int, x: float, tau: fl
         Samples of the window.
     x : float
         Trial point, km from S, 0 <= x <= length.
-    tau, rest : float
+    tau, remaining : float
         Travel times from S to the point and from the point to R, samples.
     """
     near, far = np.empty(count), np.empty(count)
