@@ -388,7 +388,6 @@ def test_what_affects_the_bits_decides_how_a_golden_bag_is_compared(monkeypatch,
     result = golden.Golden(Path("x"), recipe, rig_of("dc_motor_smc_b2"))
     changed = {k: (v, now[k]) for k, v in recorded.items() if k != "python"}
     assert result.others == changed
-    assert result.made_here == (not changed)
     text = ", ".join(f"{k} {a} there, {b} here" for k, (a, b) in result.others.items())
     assert result.how == (f"within tolerances: {text}" if changed else "byte for byte")
     assert golden.line(result.others) == line
@@ -1139,11 +1138,6 @@ def test_the_life_of_a_golden_bag_is_as_expected(tmp_path, monkeypatch, capsys):
     messages += ["golden.yaml", *(f"  {line}" for line in text[: text.index("made_with:")])]
     check_expected("verbs/golden", messages)
     assert max(map(len, text)) <= 110
-    assert all(
-        golden.load(tmp_path / "dc_motor_smc_b2").open_loop(m.name).equal
-        for m in made.rig.members
-        if m.name == "dc_motor_smc"
-    )
 
 
 # a run from its words to its end --------------------------------------------------------------------------------------

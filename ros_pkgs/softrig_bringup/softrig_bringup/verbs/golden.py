@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError
 from softrig_bags.compare import Comparison, Tolerance, compare
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
-from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, feed, load_scenario, rig_of, simulate
+from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, load_scenario, rig_of, simulate
 from softrig_core.block.params import flatten
 from softrig_core.entry import Entry
 from softrig_core.guard import replace
@@ -142,13 +142,6 @@ class Golden:
         return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
     @property
-    def made_here(self) -> bool:
-        """Return whether all settings that affect the bits are the same as when the bag was made: then bytes
-        are compared.
-        """
-        return not self.others
-
-    @property
     def how(self) -> str:
         """Return how a new recording is compared, and why."""
         return f"within tolerances: {self._differing}" if self.others else "byte for byte"
@@ -200,25 +193,6 @@ class Golden:
         limits = {name: Tolerance(a.absolute, a.relative) for name, a in allowed.items()}
         default = Tolerance(self.recipe.default.absolute, self.recipe.default.relative)
         return compare(before, signals, default=default, tolerances=limits, topics=topics)
-
-    def open_loop(self, node: str) -> Comparison:
-        """Feed one node with the golden inputs and compare its answers on the topics of the bag.
-
-        Raises
-        ------
-        ScenarioError
-            The node publishes, and the bag holds nothing of it.
-        """
-        member = next(m for m in self.rig.members if m.name == node)
-        recording = self.recording()
-        answers = feed(member, self.recipe.seed, recording)
-        shared = [topic for topic in answers.topics if topic in recording.topics]
-        if answers.topics and not shared:
-            raise ScenarioError(
-                f"{self.folder}: the bag holds no topic of {node} ({', '.join(answers.topics)}); record it again by "
-                f"`softrig golden {self.folder.name}`"
-            )
-        return self.compare(answers, shared, old=recording)
 
     def make(self, differing: bool = False) -> Comparison | None:
         """Write the golden bag again; returns the comparison of the new with the old, if there was one.
