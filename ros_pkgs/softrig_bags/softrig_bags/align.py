@@ -50,7 +50,7 @@ class Deviation:
     shift : float
         Delay of b, s: shifted back by this time, b is nearest to a. 0 if no shift reduces the distance.
     shifted_rms : float
-        What is left then.
+        Root mean square of the difference after that shift.
     agrees : bool
         Whether the deviation is within the tolerance everywhere.
     off : int

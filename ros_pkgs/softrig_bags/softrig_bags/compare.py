@@ -102,9 +102,9 @@ class Comparison:
     paired : int
         Number of messages that had a partner.
     notes : list of str
-        What was done otherwise than asked, and why.
+        What was done differently from the request, and why.
     complete : bool
-        Whether all was read that the bags claim to hold.
+        Whether all messages were read that the bags claim to have.
     """
 
     topics: list[TopicComparison]

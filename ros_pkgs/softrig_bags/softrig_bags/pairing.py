@@ -42,7 +42,7 @@ class Pairing:
     Parameters
     ----------
     stamped : bool
-        Whether messages have a header stamp; else bag time is it.
+        Whether messages have a header stamp; otherwise bag time is used.
     compare : callable
         See `Compare`; called when partners have been found.
 
@@ -118,8 +118,8 @@ def keys_of(block: Block, stamped: bool) -> Ints:
 def matched(a: Ints, b: Ints, size_a: Ints, size_b: Ints) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows that belong together: of equal keys the first with the first, the second with the second.
 
-    Where both have as many messages of a key they are taken by length first, for publishers of one topic that stamp
-    alike may be in another order.
+    If both have equally many messages of a key, these are ordered by length first, because publishers of one topic with
+    equal stamps may appear in another order.
     """
     # Recordings of equal runs need no sorting, and this is the usual case.
     if len(a) == len(b) and (a == b).all() and (len(a) < 2 or (np.diff(a) > 0).all()):

@@ -58,9 +58,9 @@ def _empty(bag: BagReader) -> Recording:
 class BagSignals(Signals):
     """Signals of a bag by name ``topic/channel/field``; of foreign message types by the path of the field.
 
-    sensor_msgs/Imu on ``/imu`` gives ``imu/angular_velocity/x`` and ``imu/orientation_covariance/0``. What a message
-    lacks that others of its topic have is NaN: elements of shorter arrays, channels of another publisher. Strings and
-    long arrays of bytes are no signals.
+    sensor_msgs/Imu on ``/imu`` becomes ``imu/angular_velocity/x`` and ``imu/orientation_covariance/0``. A value that a
+    message lacks and others of its topic have is NaN: elements of shorter arrays, channels of another publisher.
+    Strings and long arrays of bytes are no signals.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
     BagSignals
         A mapping from ``topic/channel/field`` to ``(t, x)``, both of shape (n,), t in s: simulated time, or the time
         since the start of a run in real time, or since the first message in any other bag of wall-clock times. `table`
-        gives all columns of a topic with the header stamps.
+        returns all columns of a topic with the header stamps.
 
     Raises
     ------
@@ -154,9 +154,9 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
     Examples
     --------
     >>> from softrig_bags.read import signals
-    >>> found = signals("run/bag")  # doctest: +SKIP
-    >>> t, omega = found["shaft/velocity"]  # doctest: +SKIP
-    >>> list(found)  # doctest: +SKIP
+    >>> recorded = signals("run/bag")  # doctest: +SKIP
+    >>> t, omega = recorded["shaft/velocity"]  # doctest: +SKIP
+    >>> list(recorded)  # doctest: +SKIP
     """
     with BagReader(path, namespace=namespace) as bag:
         columns, tables = Columns(bag), dict[int, Growing]()

@@ -40,9 +40,9 @@ class Left:
     Parameters
     ----------
     reason : str
-        Of a topic that cannot be decoded as a whole.
+        Why no message of the topic can be decoded; empty if some can.
     messages : int
-        That are damaged; the first of them is at bag time `first` ns and has `damage`.
+        Number of damaged messages; the first of them is at bag time `first` ns and has `damage`.
     fields : dict of str to None
         Arrays that are too long for columns, in words.
     """

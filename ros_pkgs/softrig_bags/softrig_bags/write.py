@@ -93,7 +93,7 @@ def retell(bag: Path, directory: Path, custom_data: Mapping[str, str]) -> None:
     Raises
     ------
     BagError
-        `bag` cannot be read, or is not whole.
+        `bag` cannot be read, or is not complete.
     """
     with BagReader(bag) as reader:
         storage = "mcap" if plain(reader.files[0]).suffix == ".mcap" else "sqlite3"

@@ -93,12 +93,13 @@ class ResultsFolder:
     def begin(self, once: str = "") -> None:
         """Create the folder, and note in it that a call is writing.
 
-        What is killed, or refused by one of its nodes, must not stop the next one, unless it cannot be made again.
+        A run that was killed, or refused by one of its nodes, must not block the next one, unless it cannot be
+        reproduced.
 
         Parameters
         ----------
         once : str
-            Why what is written here cannot be made again; empty if it can.
+            Why the results cannot be reproduced; empty if they can.
 
         Raises
         ------

@@ -61,7 +61,7 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
 def strange(words: Sequence[str]) -> str:
     """Describe which argument of a `ros2 launch` command our launch file does not have; launch accepts any.
 
-    Empty when none is, or when the file is included by another one, whose arguments they may be.
+    The text is empty if there is none, or if another launch file includes this one, because it may own the arguments.
     """
     if not any(Path(word).name == "rig.launch.py" for word in words):
         return ""

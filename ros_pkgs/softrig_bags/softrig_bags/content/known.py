@@ -1,7 +1,7 @@
 """Definitions and hashes of the message types of softrig's own topics, as Jazzy has them.
 
 The library that knows all types of all distributions takes a tenth of a second to load, and a bag of a run needs a few.
-A test holds these against it.
+A test compares these types with that library.
 """
 
 from __future__ import annotations

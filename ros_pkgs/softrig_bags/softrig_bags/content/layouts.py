@@ -1,8 +1,8 @@
 """Messages of any type as columns: where in its bytes a message has its numbers and texts, and which others are alike.
 
 A template is made from one message by its definition. It fits every other message that has the same lengths in the same
-places, and then gives the numbers of all of them at once. Bytes are checked before they are numbers: encapsulation,
-byte order, lengths, and that the definition ends where the message does.
+places. The numbers of all these messages are read in one batch, after their bytes were checked: encapsulation, byte
+order, lengths, and that the definition ends where the message does.
 """
 
 from __future__ import annotations

@@ -79,7 +79,8 @@ class BagWriter:
     BagError
         Unknown storage or compression, or the directory exists.
     OSError
-        The disk is full or broken, and nothing is left there; later, `salvage` closes the bag without what did not fit.
+        The disk is full or broken. If the bag cannot be begun, nothing is left behind; later, `salvage` closes it
+        without the messages that did not fit.
     """
 
     def __init__(

@@ -48,7 +48,7 @@ def expanded(path: Path, scratch: Path) -> Iterator[tuple[Path, list[str]]]:
     Parameters
     ----------
     path : Path
-        As it is when it is not compressed whole; else a copy is made for as long as the context lasts.
+        The file itself if it is not compressed as a whole; otherwise a copy, which exists as long as the context.
     scratch : Path
         Folder for the copy.
     """

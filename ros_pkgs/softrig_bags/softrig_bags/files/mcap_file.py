@@ -1,8 +1,8 @@
 """MCAP storage of a bag file: chunks with checksum and index, closed by size or on demand.
 
-Written here and not by a library because a recorder must be able to close a chunk at any time (what a crash may
-cost), because equal runs must give equal bytes under any version of a library, and for speed; the file is read
-back by two independent libraries in the tests. Format: https://mcap.dev/spec, profile ros2.
+No library writes the file, for three reasons: a recorder must be able to close a chunk at any time, which limits what a
+crash may cost; equal runs must produce equal bytes with any version of a library; and speed. In the tests two
+independent libraries read the file back. Format: https://mcap.dev/spec, profile ros2.
 """
 
 from __future__ import annotations

@@ -229,7 +229,7 @@ class McapSource:
     def _indexed(self, part: Part, view: Bytes) -> tuple[Ints, list[tuple[int, int]]]:
         """Return where the messages begin that the index of a chunk names, and the gaps between them.
 
-        What the index leaves out is in a gap, and what is wrong in it makes the whole chunk a gap.
+        Messages that the index leaves out are in a gap. An error in the index makes the whole chunk a gap.
         """
         assert part.hint is not None
         begin, stop = part.hint
@@ -297,8 +297,8 @@ def _lengths(view: Bytes, starts: Ints) -> Ints:
 def message_run(content: bytes | memoryview, view: Bytes, offset: int, stop: int) -> tuple[Ints, int]:
     """Find the message records that follow each other from a place on.
 
-    Records are looked at one by one until their lengths repeat; from there on they are expected to go on so, which is
-    checked for all at once.
+    Records are read one by one until their lengths repeat. From there on the same lengths are expected, which is
+    checked for all of them in one batch.
 
     Parameters
     ----------

@@ -301,7 +301,7 @@ class BagReader:
     def blocks(self, topics: Collection[int] | None = None, start: int = 0) -> Iterator[Block]:
         """Return all messages in blocks, by time, equal times as written; see `Block`.
 
-        A complete reading is held against what the metadata and the files claim.
+        After a complete read, the counts are compared with those that the metadata and the files claim.
 
         Parameters
         ----------

@@ -79,7 +79,7 @@ def remains(path: Path) -> Remains:
 def _in_folder(path: Path) -> Remains | None:
     """Look into one folder.
 
-    Where rosbag2 was killed while it compressed a file, both are there; the one that is not compressed is whole.
+    If rosbag2 was killed while it compressed a file, both files exist, and only the uncompressed one is complete.
     """
     patterns = [f"*{suffix}{packed}" for packed in (".zstd", "") for suffix in SUFFIXES]
     results = {plain(p): p for pattern in patterns for p in path.glob(pattern) if p.is_file()}

@@ -136,7 +136,7 @@ def span(bag: BagReader, offset: float, duration: float | None) -> Span:
     Raises
     ------
     BagError
-        The bag is empty, or the offset lies behind its end.
+        The bag is empty, or the offset is after its end.
     """
     if bag.is_empty:
         raise BagError(f"{bag.path} is empty")

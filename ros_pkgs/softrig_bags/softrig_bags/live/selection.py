@@ -23,7 +23,7 @@ class Selection:
     regex, exclude : re.Pattern, optional
         Searched for in the absolute name.
     namespace : str
-        In which topics are that are not named; with a leading slash, empty for the root.
+        Namespace of the topics that are not named, with a leading slash; empty for the root.
     """
 
     names: tuple[str, ...] = ()

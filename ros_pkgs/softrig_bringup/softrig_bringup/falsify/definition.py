@@ -28,9 +28,10 @@ class Falsification(Entry):
     scenario : str
         Name or file.
     requirements : tuple of str
-        Which; when empty, those of the scenario that follow the machine.
+        Names; if empty, those of the scenario whose bounds follow the machine's parameters.
     strict : bool
-        With no `requirements`: all of the scenario's, also those with numbers for the machine as it was.
+        Without `requirements`: whether to judge all of the scenario's, also those with numbers for the unchanged
+        machine.
     over : dict of str to str
         Range by parameter or signal, see `softrig_bringup.falsify.space.parse`.
     budget : int
@@ -38,7 +39,7 @@ class Falsification(Entry):
     first : bool
         End at the first violation instead of looking for the worst.
     expect : Expectation, optional
-        What the least margin is expected to be.
+        Expected least margin.
     """
 
     name: str

@@ -92,7 +92,7 @@ class Prepared(NamedTuple):
     nominal : dict of str to float or None
         Their margins without changes.
     content : dict
-        What makes it this one and no other.
+        Everything that distinguishes it from other falsifications.
     published, not_judged, machine
         See `Outcome`.
     """
@@ -153,7 +153,7 @@ def falsify(
     prepared : Prepared
         Result of `prepare` for it.
     out : Path
-        Gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
+        Folder for ``falsification.json`` and ``rows.jsonl``; runs that an earlier call stored there are not repeated.
     workers, scheduler
         See `softrig_optim.sweep.Workers`.
 

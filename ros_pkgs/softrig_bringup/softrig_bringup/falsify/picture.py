@@ -26,7 +26,7 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     Parameters
     ----------
     runs : mapping of str to Run
-        By label; what the last one violates is shaded.
+        By label; the intervals in which the last one violates the requirement are shaded.
     path : Path
         The SVG.
     also : str

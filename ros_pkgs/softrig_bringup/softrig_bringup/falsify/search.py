@@ -72,18 +72,18 @@ def search(
 ) -> SearchResult:
     """Look for the least margin in the unit cube.
 
-    Corners come first, then the sampler; what is left of the budget goes to climbs from corner
-    to corner, from the best point on and then from other corners.
+    The corners are run first, then the sampler. The remaining budget is spent on climbs from corner to corner, first
+    from the best point, then from other corners.
 
-    Where there are several things and one of them is a list or a profile, CMA-ES comes between, over as many
-    coordinates as there are things, each constant: most violations of a system that forgets need no more, and those
-    between the bounds, which no corner finds, are found in few coordinates sooner than in many. It takes most of the
-    corners' share and another tenth.
+    If several quantities are searched and one of them is a list or a profile, CMA-ES runs in between, with one constant
+    coordinate for each quantity. Most violations of a system whose past fades need no more. Violations between the
+    bounds, which no corner shows, are found sooner with few coordinates than with many. CMA-ES uses most of the
+    corners' share of the budget and another tenth.
 
     Parameters
     ----------
     groups : sequence of int
-        Number of coordinates of each thing that is searched: a number, a list, a profile.
+        Number of coordinates of each searched quantity, which is a number, a list or a profile.
     measure : callable
         Measures a batch of points.
     budget : int
@@ -242,7 +242,7 @@ def _climb(
 ) -> int:
     """Try each coordinate of a point at both ends, round after round, until a round finds nothing; return the runs.
 
-    The worst input of a linear loop is at its bounds all the time, so is that of many that are not linear.
+    The worst input of a linear loop is at its bounds all the time; so is that of many nonlinear loops.
     """
     runs, better = 0, True
     if point not in known:

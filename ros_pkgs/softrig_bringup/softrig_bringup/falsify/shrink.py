@@ -30,7 +30,7 @@ def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], b
     -------
     case : (Scenario, dict)
     runs : int
-        How many were needed.
+        Number of runs that were needed.
     """
     runs = 0
 

@@ -39,7 +39,7 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
     Raises
     ------
     ScenarioError
-        A GIF that is larger all the same.
+        A GIF remains larger than that.
     """
     images = [picture(frame, film.bounds) for frame in film.frames]
     if form != "gif":

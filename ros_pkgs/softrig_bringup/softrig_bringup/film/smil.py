@@ -1,7 +1,7 @@
 """A film as one SVG file that moves by itself: SMIL, which every browser plays, inside an ``img`` as well.
 
-A library such as drawsvg writes these elements, too; which shapes stay, move as a whole, bend or jump, and so which
-elements a film needs, would be decided here all the same.
+A library such as drawsvg writes these elements, too; but this module would still have to decide which shapes stay, move
+as a whole, bend or jump, and therefore which elements a film needs.
 """
 
 from __future__ import annotations

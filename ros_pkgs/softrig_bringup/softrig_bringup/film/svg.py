@@ -19,7 +19,7 @@ def sheet(dark: bool | None = None) -> str:
     Parameters
     ----------
     dark : bool, optional
-        Colours for dark ground, or light; by what the reader's system prefers without it.
+        Whether to use the colours for a dark background; by default those that the reader's system prefers.
     """
 
     def rules(column: int) -> str:

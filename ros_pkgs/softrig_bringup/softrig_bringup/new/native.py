@@ -52,11 +52,11 @@ def new_native(name: str, folder: Path, language: str, command: str) -> Path:
     name : str
         Of the law, checked.
     folder : Path
-        Is made, with the files in it.
+        Folder that is created with the files.
     language : str
         One of `LANGUAGES`.
     command : str
-        What a person types to get the command line.
+        Command with which a user starts softrig.
 
     Returns
     -------

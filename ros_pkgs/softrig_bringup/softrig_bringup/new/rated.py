@@ -33,7 +33,7 @@ def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], co
     rated : sequence of str
         ``NAME=VALUE`` each.
     command : str
-        What a person types to get the command line.
+        Command with which a user starts softrig.
 
     Raises
     ------

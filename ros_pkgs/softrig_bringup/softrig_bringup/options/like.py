@@ -100,13 +100,13 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
     path : Path
         Directory of the run, its bag, a single .mcap file of it, or a pack.
     parse : callable
-        Gives the options of what follows ``softrig run``.
+        Returns the options in the words after ``softrig run``.
 
     Raises
     ------
     ScenarioError
-        No such run, it has no bag, which alone knows what was changed while it ran, or a package that it needs is not
-        installed here.
+        There is no such run, it has no bag (only the bag records the changes made during the run), or a package that it
+        needs is not installed here.
     """
     if is_pack(path):
         return _unpacked(path, parse)

@@ -122,7 +122,7 @@ def _mode(word: str) -> str:
 class Again(argparse.ArgumentParser):
     """Parses a stored command of any version; raises ArgumentError if it does not match.
 
-    Of words that it does not know `exit_on_error` would end the process all the same before Python 3.12.
+    Before Python 3.12 argparse ends the process on unknown words, even if `exit_on_error` is false.
     """
 
     def __init__(self) -> None:

@@ -287,8 +287,8 @@ def check_scenario(folder: Path, scenario: Scenario, about: About) -> None:
 def _check_flag(folder: Path, node: str, flag: str) -> None:
     """Refuse a compiler flag that could read or start a file outside the pack.
 
-    A list of what is harmless, for compilers have many others: ``@FILE``, ``-include FILE``, ``-fplugin=``, ``-B``,
-    ``-specs=``, ``-wrapper``, ``-Wl,``, ``-L``, ``-o``.
+    Only flags known to be harmless are accepted, because compilers have many dangerous ones: ``@FILE``, ``-include
+    FILE``, ``-fplugin=``, ``-B``, ``-specs=``, ``-wrapper``, ``-Wl,``, ``-L``, ``-o``.
     """
     within = flag[:2] == "-I" and flag[2:] and (folder / SCENARIO / flag[2:]).resolve().is_relative_to(folder.resolve())
     if not within and not _FLAG.fullmatch(flag):

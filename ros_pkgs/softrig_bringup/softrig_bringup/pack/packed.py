@@ -100,7 +100,7 @@ class About(BaseModel):
 def placeless(value: Any) -> Any:
     """Return text, or all texts in a value, with paths shortened so that no folder of this machine remains.
 
-    What begins with no folder that is here is left alone: a topic, an address.
+    A text that does not begin with an existing folder stays unchanged, such as a topic or an address.
     """
     if isinstance(value, str):
         return _PLACE.sub(lambda match: "" if Path("/", match[1]).is_dir() else match[0], value)
@@ -142,12 +142,12 @@ def digest_of(path: Path) -> str:
 def opened(path: Path) -> Path:
     """Return the folder with the content of a pack, unpacked and checked; nothing of it is imported.
 
-    It lies in the cache by what the file holds, so that node processes and later calls find it.
+    The folder is in the cache, named by a digest of the file, so that node processes and later calls find it.
 
     Raises
     ------
     ScenarioError
-        Not a file that `softrig pack` has written, or nothing that may be unpacked. Then nothing of it stays.
+        The file was not written by `softrig pack`, or must not be unpacked; nothing of it is kept.
     """
     try:
         folder = cache_folder() / "packs" / digest_of(path)[:32]
@@ -282,7 +282,7 @@ def need_packages(source: object, packages: Iterable[str]) -> None:
     Raises
     ------
     ScenarioError
-        One is missing, or its blocks were typed at a prompt and belong to none.
+        A package is missing, or blocks were typed at a prompt and belong to no package.
     """
     names = list(packages)
     typed = [name for name in names if not name.isidentifier()]

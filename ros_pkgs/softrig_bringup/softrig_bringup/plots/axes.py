@@ -79,7 +79,7 @@ def draw_logic(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
 def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Artist, str]]:
     """Draw the accepted range as a band and the published value as a line; return the entries of the legend.
 
-    What lies far outside of the curves is left out: it would press them flat.
+    Marks far outside of the curves are left out, because they would flatten the curves.
 
     Parameters
     ----------

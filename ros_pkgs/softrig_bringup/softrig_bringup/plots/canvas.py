@@ -1,8 +1,8 @@
 """A picture as a list of the few matplotlib calls that softrig's pictures need.
 
-A page has it as SVG of softrig's own (`softrig_bringup.plots.svg`), in a hundredth of matplotlib's time; a paper has
-the same calls drawn by matplotlib (`softrig_bringup.plots.printed`). Names and arguments are those of matplotlib, so
-that functions that draw into one of these axes can draw into matplotlib's too.
+For pages, softrig writes it as SVG (`softrig_bringup.plots.svg`) in a hundredth of matplotlib's time. For papers,
+matplotlib draws the same calls (`softrig_bringup.plots.printed`). Names and arguments are those of matplotlib, so that
+functions that draw into one of these axes can draw into matplotlib's too.
 """
 
 from __future__ import annotations

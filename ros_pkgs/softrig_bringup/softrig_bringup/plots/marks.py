@@ -31,9 +31,9 @@ class Mark:
     name : str
         Of the figure.
     low, high : float
-        What passes; infinite where there is no bound, both NaN when nothing is expected.
+        The accepted range; infinite where there is no bound, both NaN if nothing is expected.
     published : float
-        What the paper prints; NaN when it prints nothing.
+        The number printed in the paper; NaN if there is none.
     start, end : float
         Where a level counts, s.
     """

@@ -184,7 +184,7 @@ def band(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
     Parameters
     ----------
     curves : sequence of Curve
-        Each held, or taken as straight between its samples; compared as long as all of them go.
+        Each is held or linear between its samples; they are compared up to the end of the shortest.
 
     Returns
     -------

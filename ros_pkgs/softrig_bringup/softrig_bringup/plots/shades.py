@@ -23,7 +23,7 @@ def shades(scale: str, shares: Sequence[float] | Array) -> list[str]:
     scale : {"cividis", "viridis"}
         Dark to light.
     shares : floats of shape (n,)
-        From 0 to 1; NaN gives no colour.
+        From 0 to 1; NaN has no colour.
 
     Returns
     -------

@@ -39,8 +39,7 @@ def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
     Returns
     -------
     list of str
-        What such runs have in common of their names, when there are `LEAST` of them, each of another seed; the name
-        itself for any other run.
+        For `LEAST` or more such runs of different seeds: the common part of their names. For any other run: its name.
     """
     keys = [_draws(run) for run in runs]
     result = list(named)
@@ -157,7 +156,7 @@ def _cell(metric: Result | None) -> Element | str:
 def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> Iterator[Element]:
     """For each system: the signals of the runs' plots laid over each other, with bands where only the seeds differ.
 
-    Runs of lengths that no axis shows together have pictures of their own (`APART`).
+    Runs whose lengths differ too much for one axis have separate pictures (`APART`).
     """
     from ..plots.overlay import Overlay, draw_overlay  # a page of one run draws none
 

@@ -116,7 +116,7 @@ def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
     Raises
     ------
     ScenarioError
-        Nothing is called so.
+        Nothing has such a name.
     """
     scenarios = [load_scenario(name) for name in list_scenarios()]
     for system in systems:

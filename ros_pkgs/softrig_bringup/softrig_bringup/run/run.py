@@ -246,7 +246,7 @@ def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
     Parameters
     ----------
     rig : Rig
-        What else it is held against: the run that is about to take its place.
+        The run that is about to replace it; the two are compared.
     """
     try:
         recording = read_shards(shards)

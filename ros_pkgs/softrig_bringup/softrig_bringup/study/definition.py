@@ -103,8 +103,8 @@ class Summary(Entry):
     of : Expectation
         Of ``share``: ``at least 99``.
     where : dict
-        Only the runs whose case (key ``case``) or parameters have these values. Over several cases that it does not
-        choose from, it is a number of each.
+        Only the runs whose case (key ``case``) or parameters have these values. If it covers several cases, it is
+        computed for each of them.
     """
 
     figure: str

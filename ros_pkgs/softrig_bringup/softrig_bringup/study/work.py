@@ -32,9 +32,9 @@ class Work(NamedTuple):
     scenario : Draft or Scenario, optional
         What the case names, read before; absent: read by that name.
     strict : bool
-        Whether a changed run is judged also by what is published for the machine as it was, as `run --strict` does.
+        Whether a changed run is also judged by numbers published for the unchanged machine, as by `run --strict`.
     margins : bool
-        Whether of `figures`, requirements or figures of which a bound is expected, the margins are wanted.
+        Whether to compute the margins of `figures`, which are requirements or figures with an expected bound.
     """
 
     case: Case
@@ -107,13 +107,13 @@ def run(work: Work, thorough: bool = False) -> dict[str, Any]:
 def repeated(name: str, work: Work, row: Mapping[str, Any]) -> None:
     """Run a case twice more in this process; compare both runs, and their results with the row of a worker.
 
-    `check_pure` sees what the first ticks keep outside of x, and each run what is left in the variables of a block's
-    own modules; this sees what matters later and is kept elsewhere, such as in a library.
+    `check_pure` detects what the first ticks store outside of x, and each run detects what remains in the variables of
+    a block's own modules. This check detects what takes effect later and is stored elsewhere, such as in a library.
 
     Raises
     ------
     Impure
-        Something differs; names the signal, else the figure, and both values. The rows stay.
+        Something differs; names the signal, or the figure, and both values. The rows are kept.
     """
     try:
         again = run(work, thorough=True)
@@ -134,7 +134,7 @@ def repeating(work: Work) -> dict[str, Any]:
     Raises
     ------
     ScenarioError
-        The second run is another one; names where the two part.
+        The second run differs; names the first difference.
     """
     row, again = run(work), run(work)
     if row["figures"] != again["figures"]:

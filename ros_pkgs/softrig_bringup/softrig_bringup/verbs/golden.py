@@ -62,9 +62,9 @@ class Recipe(Entry):
     tolerances : dict of str to Allowed
         By pattern of the signal name (``motor/state/*``).
     elsewhere : dict of str to Allowed
-        As `tolerances`: what a change of the last bits does to this rig, measured when the bag was made.
+        As `tolerances`: the effect of a change of the last bits on this rig, measured when the bag was made.
     why : str
-        Why the tolerances are what they are.
+        Reason for the tolerances.
     made_with : dict of str to str
         Versions that wrote the bag.
     """
@@ -238,7 +238,7 @@ def line(names: Iterable[str]) -> str:
     Parameters
     ----------
     names : iterable of str
-        What is not as it was when golden bags were made: `Golden.others` of all of them.
+        Settings that differ from those of the golden bags: `Golden.others` of all of them.
     """
     differ = set(names)
     if "machine" in differ:

@@ -334,7 +334,7 @@ def too_slow(
 ) -> str:
     """Report that the machine did not keep up, in ticks or in a solver's work.
 
-    Of a rig that has tripped or broken every missed deadline counts.
+    If a rig has tripped or failed, every missed deadline counts.
     """
     trips = tripped(rig, status)
     most = MISSED if options.max_missed is None else options.max_missed

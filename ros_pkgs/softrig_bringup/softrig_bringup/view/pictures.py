@@ -181,7 +181,7 @@ class Picture:
 def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:
     """Return the plots of a rig's scenario; if it has none, one for each topic.
 
-    Where the reader chooses the window, one that is a part of another is that other once more.
+    The reader chooses the window, so a plot of a part of another one would repeat that one.
     """
     if plots := rig.scenario.plots:
         complete = [(p.signals, p.x) for p in plots if p.window is None]

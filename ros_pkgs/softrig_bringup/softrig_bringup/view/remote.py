@@ -72,7 +72,8 @@ class Remote:
 def let_go(process: subprocess.Popen[str], patience: float) -> None:
     """End a process that reads its standard input to the end; after `patience` s it is killed.
 
-    By force its group ends, too, if it leads one: a page that is still starting has a process of its own.
+    If it is forced and leads a process group, the group ends, too: a page that is still starting has a separate
+    process.
     """
     assert process.stdin is not None
     with suppress(OSError):

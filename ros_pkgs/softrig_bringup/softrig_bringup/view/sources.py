@@ -137,7 +137,7 @@ class Growing:
 class Live(Growing):
     """A run in progress, as its nodes record it.
 
-    The loop knows nothing of it: no topic is read, nothing is waited for.
+    It does not affect the loop: it subscribes to no topic, and no node waits for it.
 
     Parameters
     ----------

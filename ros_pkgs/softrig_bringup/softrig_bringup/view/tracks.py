@@ -20,8 +20,8 @@ class Track:
     Parameters
     ----------
     limit : int
-        Messages that are kept at most. When they are more, the older half is thinned: of four messages two stay, with
-        the lowest and the highest value of each channel, so that no peak is ever lost.
+        Largest number of stored messages. If there are more, the older half is thinned: of four messages two remain,
+        with the lowest and the highest value of each channel, so that no peak is lost.
 
     Attributes
     ----------
