@@ -16,10 +16,12 @@ from softrig_core.judge.expectation import Expected
 from softrig_core.scenario.places import explain
 from softrig_core.scenario.references import fill
 from softrig_core.scenario.scenario_file import scenario_folders
-from softrig_core.scenario.yaml_file import read_mapping
+from softrig_core.scenario.yaml_file import read_mapping, write_yaml
 
 # The most seeds, points or candidates, because memory is allocated for all of them together.
 MOST = 1_000_000
+# The definition of a study in the folder of its results.
+FILE = "study.yaml"
 
 
 Bound = float | list[float]
@@ -243,3 +245,8 @@ def make_study(raw: dict[str, Any]) -> Study:
         return Study.model_validate(raw)
     except ValidationError as error:
         raise ScenarioError(explain(error, Study)) from None
+
+
+def saved(study: Study) -> str:
+    """Write all of a study as a file that `softrig study` reads."""
+    return write_yaml(study.model_dump(mode="json", exclude_defaults=True))

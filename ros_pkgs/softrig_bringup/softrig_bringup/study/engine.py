@@ -21,13 +21,14 @@ from softrig_core.rig.code import fingerprints
 from softrig_core.run.purity import check_pure, is_suspect
 from softrig_core.scenario.scenario import Draft
 from softrig_core.wire.signals import full_name
+from softrig_optim.sweep import cores
 
 from ..folder import STUDY, ResultsFolder
 from ..options.names import check_names
 from .batch import Batch, Log
 from .definition import Search, Study
 from .draw import Case, _values, cases, count, drafts_of, seeds_of
-from .work import Work, recorded, repeated, repeating, value_of
+from .work import Work, recorded, repeated, repeating, value_of, warm
 
 
 def run_study(
@@ -73,6 +74,9 @@ def run_study(
             # The folder is checked again under the lock, because another call may have written to it since.
             replace(out / "study.json", same(content, out / "study.json", "study"))
             log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study, drafts))
+            if len(log) < log.total and not scheduler and (workers or cores()) > 1:
+                for rig, case in zip(rigs, _firsts(study, drafts), strict=True):
+                    warm(rig, _work(study, case, drafts))
             with Batch(study.name, log, workers, scheduler) as batch:
                 if study.search:
                     _search(study, study.search, batch, drafts)

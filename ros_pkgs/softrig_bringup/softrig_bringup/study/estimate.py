@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +31,36 @@ class Estimate(NamedTuple):
     high: float = math.nan
 
 
+# Of `scipy.special`, because the import of `scipy.stats` takes a second of each study.
+@lru_cache
+def _student(n: int) -> float:
+    """Return the quantile of Student's t distribution of n degrees of freedom that bounds an interval."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(n, 0.5 + LEVEL / 2.0))
+
+
+@lru_cache
+def _normal() -> float:
+    """Return the same quantile of the normal distribution."""
+    from scipy.special import ndtri
+
+    return float(ndtri(0.5 + LEVEL / 2.0))
+
+
+@lru_cache
+def _ranks(n: int, q: float) -> tuple[int, int]:
+    """Return which of n sorted values, from 0, enclose their quantile q; outside of them where they are too few.
+
+    The number of values below the quantile is binomial; as in `scipy.stats.quantile_test`.
+    """
+    from scipy.special import bdtr, bdtrc
+
+    tail = 0.5 - LEVEL / 2.0
+    low = bisect_left(range(n), tail, key=lambda k: float(bdtr(k, n, q))) - 1
+    return low, bisect_left(range(n), -tail, key=lambda k: -float(bdtrc(k, n, q)))
+
+
 def mean(values: Array) -> Estimate:
     """Estimate a mean, with Student's t interval.
 
@@ -37,12 +69,10 @@ def mean(values: Array) -> Estimate:
     values : array, shape (n,)
         Finite numbers of independent runs.
     """
-    from scipy import stats
-
-    middle = float(np.mean(values))
-    if values.size < 2:
+    middle, n = float(np.mean(values)), values.size
+    if n < 2:
         return Estimate(middle)
-    half = float(stats.t.ppf(0.5 + LEVEL / 2.0, values.size - 1) * stats.sem(values))
+    half = _student(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
     return Estimate(middle, middle - half, middle + half)
 
 
@@ -54,16 +84,15 @@ def deviation(values: Array) -> Estimate:
     D. G. Bonett, "Approximate confidence interval for standard deviation of nonnormal distributions", Computational
     Statistics & Data Analysis 50(3), 2006, eq. (4).
     """
-    from scipy import stats
-
     n = values.size
     if n < 2:
         return Estimate(math.nan)
-    result, z = float(np.std(values, ddof=1)), float(stats.norm.ppf(0.5 + LEVEL / 2.0))
+    result, z = float(np.std(values, ddof=1)), _normal()
     # The trimmed mean below divides by the root of n - 4.
     if n < 5 or result == 0.0:
         return Estimate(result, *((0.0, 0.0) if result == 0.0 else ()))
-    about = values - stats.trim_mean(values, 0.5 / math.sqrt(n - 4.0))
+    cut = int(0.5 / math.sqrt(n - 4.0) * n)
+    about = values - np.partition(values, (cut, n - cut - 1))[cut : n - cut].mean()
     kurtosis = n * float(np.sum(about**4)) / float(np.sum((values - values.mean()) ** 2)) ** 2
     c = n / (n - z)
     half = z * c * math.sqrt((kurtosis - (n - 3.0) / n) / (n - 1.0))
@@ -78,10 +107,10 @@ def quantile(values: Array, q: float) -> Estimate:
     values : array, shape (n,)
         Infinity, of what never happens, is the largest.
     """
-    from scipy import stats
-
-    result = stats.quantile_test(values, q=0.0, p=q).confidence_interval(LEVEL)
-    return Estimate(float(at_quantile(values, q)), float(result.low), float(result.high))
+    low, high = _ranks(values.size, q)
+    ordered = np.sort(values).tolist()
+    ends = (ordered[k] if 0 <= k < values.size else math.nan for k in (low, high))
+    return Estimate(float(at_quantile(values, q)), *ends)
 
 
 def at_quantile(values: Array, q: float, axis: int = -1) -> Array:
@@ -100,9 +129,7 @@ def share(portion: float, n: int) -> Estimate:
         Share of n independent runs in which the event occurs. scipy computes the interval for integer counts only, and
         the count is not an integer if each run is a mean over seeds.
     """
-    from scipy import stats
-
-    z = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
+    z = _normal()
     centre, width = portion + z**2 / (2.0 * n), z * math.sqrt(portion * (1.0 - portion) / n + (z / (2.0 * n)) ** 2)
     ends = ((centre - width) / (1.0 + z**2 / n), (centre + width) / (1.0 + z**2 / n))
     return Estimate(portion, 0.0 if portion == 0.0 else ends[0], 1.0 if portion == 1.0 else ends[1])
@@ -176,9 +203,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 def runs_for_mean(spread: float, width: float) -> int:
     """Compute how many runs a t interval of this width needs, given the standard deviation."""
-    from scipy import stats
-
-    return _least(lambda n: 2.0 * float(stats.t.ppf(0.5 + LEVEL / 2.0, n - 1)) * spread / math.sqrt(n), width)
+    return _least(lambda n: 2.0 * _student(n - 1) * spread / math.sqrt(n), width)
 
 
 def runs_for_share(portion: float, width: float) -> int:

@@ -10,22 +10,17 @@ from typing import Any
 
 from softrig_core import ScenarioError, load_scenario
 from softrig_core.scenario.scenario_file import locate
-from softrig_core.scenario.yaml_file import read_mapping, write_yaml
+from softrig_core.scenario.yaml_file import read_mapping
 
 from ..pack.cargo import check_scenario
 from ..pack.packed import SCENARIO, STUDY, about, is_pack, need_packages, opened, placeless
 from .batch import row_of
-from .definition import Study, make_study
+from .definition import FILE, Study, make_study
 from .draw import drafts_of
 from .engine import check_study, content_of, same
 from .table import Row
 
-FILE, ROWS = "study.yaml", "rows.jsonl"
-
-
-def saved(study: Study) -> str:
-    """Write all of a study as a file that `softrig study` reads."""
-    return write_yaml(study.model_dump(mode="json", exclude_defaults=True))
+ROWS = "rows.jsonl"
 
 
 def of_folder(folder: Path) -> Study:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, evaluate, simulate
+from softrig_core import SECOND, Rig, Run, RunError, Scenario, ScenarioError, evaluate, simulate
 from softrig_core.errors import Impure
 from softrig_core.scenario.scenario import Draft
 
@@ -16,6 +17,8 @@ from .draw import Case
 
 # JSON has no infinity, so this number stands for it in the margins of rows.
 LARGE = 1e300
+# The CPU time in s that the rest of a first run may take; if it takes more, it is better left to the workers.
+LEFT = 0.1
 
 
 class Work(NamedTuple):
@@ -102,6 +105,24 @@ def run(work: Work, thorough: bool = False) -> dict[str, Any]:
             raise
         row["error"] = str(error)
     return row | {"wall_s": time.perf_counter() - started}
+
+
+def warm(rig: Rig, work: Work) -> None:
+    """Run a case until little of it is left, so that copies of this process share what a run imports and loads."""
+    calls: list[tuple[float, float]] = []
+
+    def enough(t: int) -> None:
+        calls.append((t / SECOND, time.process_time()))
+        # Imports and loading are part of the first interval.
+        if len(calls) > 2:
+            (begin, earlier), (end, now) = calls[-2:]
+            if (now - earlier) * (rig.scenario.duration - end) > LEFT * (end - begin):
+                raise RunError("enough")
+
+    # The run itself reports what is wrong with it.
+    with suppress(RunError, ScenarioError):
+        done = simulate(rig, seed=work.case.seed, progress=enough, runs=work.runs, signals=work.signals)
+        _figures(done, work)
 
 
 def repeated(name: str, work: Work, row: Mapping[str, Any]) -> None:

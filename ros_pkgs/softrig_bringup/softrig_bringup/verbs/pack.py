@@ -57,8 +57,9 @@ from ..page.citations import FILE as REFERENCES
 from ..report.looked import differing
 from ..run.run import versions
 from ..study.batch import Log
+from ..study.definition import FILE, saved
 from ..study.draw import count
-from ..study.packed import FILE, ROWS, of_folder, rows_alone, saved, standing_alone as standing_alone_study
+from ..study.packed import ROWS, of_folder, rows_alone, standing_alone as standing_alone_study
 from ..study.table import without_signals
 
 #: Endings of files that are read together: COMTRADE, and C with its headers.

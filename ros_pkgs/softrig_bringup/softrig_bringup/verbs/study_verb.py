@@ -13,13 +13,11 @@ from softrig_core.extras import need
 from softrig_core.guard import replace
 
 from ..folder import STUDY, ResultsFolder
-from ..pack.trust import admitted
 from ..page.html import write_page
 from ..page.paper_table import write_paper_table
-from ..study.definition import Study, list_studies
+from ..study.definition import FILE, Study, list_studies, saved
 from ..study.engine import run_study
 from ..study.options import folder_name, study_of
-from ..study.packed import FILE, differing, saved, unpacked
 from ..study.page import body_of, print_study, units_of
 from ..study.pictures import draw_study
 from ..study.statistics import not_judged, statistics
@@ -32,8 +30,12 @@ def main(options: argparse.Namespace) -> int:
     if options.study == "list":
         print("\n".join(sorted(list_studies())))
         return 0
-    if options.like is not None and (status := admitted(options)) is not None:
-        return status  # of a sandbox
+    if options.like is not None:
+        # Only a repeated study needs what reads packs, whose import takes a third of a second.
+        from ..pack.trust import admitted
+
+        if (status := admitted(options)) is not None:
+            return status  # of a sandbox
     study, before = (study_of(options), None) if options.like is None else _again(options)
     name = f"study_{study.name}-again" if before is not None else folder_name(study.name, options)
     out = options.out or Path("runs") / name
@@ -72,6 +74,8 @@ def main(options: argparse.Namespace) -> int:
         write_page(new / "report.html", study.title, list(body_of(study, rows, result, judged, over, pictures, units)))
     print_study(study, rows, result, judged, over, out)
     if before is not None:
+        from ..study.packed import differing
+
         apart = list(differing(before, rows))
         text = f"repeats {options.like} row for row" if not apart else f"{len(apart)} of {len(before)} rows are others"
         print("; ".join([text, *apart[:3]]))
@@ -85,6 +89,8 @@ def _again(options: argparse.Namespace) -> tuple[Study, list[dict[str, Any]]]:
     stated = ("grid", "draw", "against", "subject_to", "figures", "signals", "seeds", "duration", "search", "study")
     if wrong := [name for name in stated if getattr(options, name)]:
         raise ScenarioError(f"--like repeats a study as it was: expected no {wrong[0]} beside it")
+    from ..study.packed import unpacked
+
     return unpacked(options.like)
 
 
