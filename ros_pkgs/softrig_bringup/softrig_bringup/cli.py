@@ -158,7 +158,7 @@ def _verb(arguments: list[str]) -> int:
         return of_the_script()
     if arguments[:1] != ["node"]:
         arguments = without_ros(arguments)
-    parser = make_parser("" if asks else arguments[0] if arguments and arguments[0] in VERBS else "")
+    parser = make_parser("" if asks else arguments[0] if arguments and arguments[0] in VERBS else "none")
     if asks:
         completion.complete(parser)
     options = parser.parse_args(arguments)
@@ -227,7 +227,7 @@ def make_parser(asked: str = "") -> argparse.ArgumentParser:
     Parameters
     ----------
     asked : str
-        The verb whose options are needed; those of all verbs when empty.
+        The verb whose options are needed, or another word if none are; those of all verbs when empty.
     """
     parser = Parser(
         prog="softrig",
