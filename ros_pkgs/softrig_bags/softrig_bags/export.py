@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from softrig_core import SECOND
 from softrig_core.extras import need
 from softrig_core.guard import print_line
@@ -159,13 +160,11 @@ class _TopicFile:
         if self._writer is None or not piece.columns.keys() <= self._kinds.keys():
             self._kinds |= {label: x.dtype for label, x in piece.columns.items() if label not in self._kinds}
             self._next_part()
-        arrays: list[Any] = [(x - self._epoch) / SECOND for x in (piece.t, piece.stamp)]
+        arrays = [_arrow((x - self._epoch) / SECOND) for x in (piece.t, piece.stamp)]
         for label, kind in self._kinds.items():
-            if kind.kind == "f":
-                arrays.append(piece.columns.get(label, lacking(len(piece.t), kind)))
-                continue
             none = piece.absent.get(label) if label in piece.columns else np.ones(len(piece.t), bool)
-            arrays.append(pyarrow.array(piece.columns.get(label, lacking(len(piece.t), kind)), mask=none))
+            column = piece.columns.get(label, lacking(len(piece.t), kind))
+            arrays.append(_arrow(column, None if kind.kind == "f" else none))
         self._writer.write_table(pyarrow.table(arrays, schema=self._schema))
 
     def _next_part(self) -> None:
@@ -194,7 +193,7 @@ class _TopicFile:
             writer = _writer(joined, self.path.suffix, schema)
             for path in self._parts:
                 for rows in _batches(path, self.path.suffix, schema):
-                    none = {pyarrow.float64(): pyarrow.array(np.full(rows.num_rows, np.nan))}
+                    none = {pyarrow.float64(): _arrow(np.full(rows.num_rows, np.nan))}
                     arrays = [
                         rows[field.name] if field.name in rows.schema.names
                         else none.get(field.type, pyarrow.nulls(rows.num_rows, field.type))
@@ -226,6 +225,16 @@ def _named(path: Path) -> Iterator[None]:
 def _headings(labels: Iterable[str]) -> list[str]:
     """Return the names of all columns; a field with the name of one of the table's own columns gets another name."""
     return [*OWN, *(f"field/{label}" if label in OWN else label for label in labels)]
+
+
+def _arrow(column: NDArray[Any], none: NDArray[np.bool] | None = None) -> Any:
+    """Return a column as an array of pyarrow; `pyarrow.array` would import pandas, which takes half a second."""
+    import pyarrow
+
+    parts = [None if none is None else np.packbits(~none, bitorder="little")]
+    parts.append(np.packbits(column, bitorder="little") if column.dtype == bool else np.ascontiguousarray(column))
+    buffers = [part if part is None else pyarrow.py_buffer(part) for part in parts]
+    return pyarrow.Array.from_buffers(pyarrow.from_numpy_dtype(column.dtype), len(column), buffers)
 
 
 def _writer(path: Path, suffix: str, schema: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import math
 import multiprocessing
@@ -323,6 +322,8 @@ def _end_with_parent() -> None:
 
 def _connected(scheduler: str) -> Any:
     """Return a client of a Dask scheduler."""
+    import asyncio
+
     import distributed
     from distributed.comm import connect
 
