@@ -53,8 +53,8 @@ def blaming(source: str) -> Iterator[None]:
     Raises
     ------
     ScenarioError
-        One that the code has raised itself is passed on. The text of a ValueError is for people; of all others the
-        message names the type and the line.
+        A ScenarioError raised by the code itself is passed on. The text of a ValueError is for people; for all other
+        errors the message names the type and the line.
     """
     try:
         yield

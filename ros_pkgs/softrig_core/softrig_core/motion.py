@@ -1,7 +1,7 @@
 """A trajectory of points that a reference follows in place of its own motion, as a joint_trajectory_controller does.
 
 The points are live parameters of the block. A new goal is therefore a change like any other: it takes effect between
-two ticks, is recorded in the bag, and a run that repeats the recorded changes gives the same numbers.
+two ticks, is recorded in the bag, and a run that repeats the recorded changes produces the same numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FIELDS = ("positions", "velocities", "accelerations")
 class Goal(Params):
     """Points to pass at given times; the last position is held. Without points the block has its own motion.
 
-    Between two points each joint moves by the polynomial that meets what both give: a line for positions alone, a
+    Between two points each joint moves along the polynomial that fits the values at both: a line for positions alone, a
     cubic with velocities, a quintic with accelerations as well.
     """
 
@@ -105,7 +105,7 @@ class Path:
     def at(self, t: int) -> tuple[float, ...]:
         """Return the positions of all joints at t (ns), their velocities, then their accelerations.
 
-        Before the first point its motion is at rest there.
+        Before the time of the first point the motion rests at that point.
         """
         k = max(0, bisect_right(self.begins, t) - 1)
         s = max(0.0, (t - self.begins[k]) / SECOND)

@@ -19,7 +19,7 @@ BEHIND = 0.25  # s by which a run may be late and still catch up; what is beyond
 class Pace:
     """Limit of a run's time at a pace, by the wall clock; a user may pause it or change the pace at any moment.
 
-    Whatever they do, the part of a tick that has been waited for stays, so that the run never gets ahead by it.
+    In each case the part of a tick that has already been waited for is kept, so that the run never gets ahead by it.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ class RigEnv(gym.Env[Array, Array]):
     """A rig in which an agent replaces one controller.
 
     A step of the environment is a period of that controller. The agent takes the place of the node
-    ``softrig_control/policy``: a trained agent can be used as that node (`scenario`) and gives the same numbers.
+    ``softrig_control/policy``: a trained agent can be used as that node (`scenario`), with the same numbers.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class RigEnv(gym.Env[Array, Array]):
 
     Notes
     -----
-    ``reset(seed=n)`` runs the rig with its seed `n`; without, the seed is drawn from ``np_random``. An episode is
+    ``reset(seed=n)`` runs the rig with the seed `n`; without `seed` it is drawn from ``np_random``. An episode is
     truncated at the end of the run. ``info["t"]`` is the time in s, ``info["error"]`` why an episode was terminated.
 
     Examples

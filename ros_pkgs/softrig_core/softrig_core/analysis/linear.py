@@ -74,14 +74,14 @@ class Sampled:
     Parameters
     ----------
     plant : Plant
-        Only its methods are asked; a run that uses it notices nothing.
+        Only its methods are called; a run that uses the plant is not affected.
     t : int
         When the period begins, ns.
 
     Notes
     -----
     x are the float fields of the plant's state; u are the values of its inputs, y those of its outputs that are not
-    sporadic, in the order of its ports. Outputs behind an encoder have steps: their rows of C mean nothing.
+    sporadic, in the order of its ports. Outputs behind an encoder change in steps, so their rows of C are meaningless.
     """
 
     def __init__(self, plant: Plant, t: int = 0) -> None:
@@ -153,7 +153,7 @@ def equilibrium(
     moving : sequence of int
         States whose derivative need not vanish (an angle that turns); they keep their value.
     tolerance : float
-        Largest derivative that counts as rest, relative to 1 + the largest at the begin.
+        Largest derivative that counts as rest, relative to 1 + the largest one at the starting point.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def equilibrium(
     Raises
     ------
     ValueError
-        As many unknowns as conditions are needed.
+        The numbers of unknowns and conditions differ.
     RunError
         Newton's method did not converge; the error contains the remaining distance.
     """

@@ -1,8 +1,8 @@
 r"""The linear view of a rig: its state space with named states where a run is, and any loop opened at a link.
 
-The columns are two-sided differences of the rig as a map (`state_map`), each with a step of its own: where two
-neighbouring steps agree best. A map that is linear in a state (a linear block, a delay) is met to rounding by the
-largest step, and copies exactly. With the loop opened at a link, what its readers get is held:
+The columns are two-sided differences of the rig as a map (`state_map`), each with the step at which two neighbouring
+steps agree best. For a state in which the map is linear (a linear block, a delay) the largest step is exact to
+rounding, and for copies exact. With the loop opened at a link, the value that its readers receive is held:
 
 .. math:: x_{k+1} = A x_k + b v_k, \quad s_k = c x_k + d v_k, \quad L(z) = -c (z - A)^{-1} b - d
 
@@ -442,7 +442,7 @@ def linear_view(
 class LinearAlong(NamedTuple):
     r"""A rig, linear along its run: :math:`\delta x_{k+1} = A_k \delta x_k + B_k \delta u_k`, outputs by C and D.
 
-    It carries what one matrix does not: a rig in motion, outputs that turn with an angle.
+    It also represents what one matrix cannot: a rig in motion, and outputs that turn with an angle.
     """
 
     rig: str

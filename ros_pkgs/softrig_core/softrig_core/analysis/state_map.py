@@ -2,7 +2,7 @@ r"""A rig as a map: from the states of its blocks at a tick to their states one 
 
 .. math:: x_{k+1} = F(x_k, u_k), \quad y_k = h(x_k, u_k)
 
-It is asked from where a run is, as often as wanted, since what blocks remember can be put back.
+It can be evaluated at the state of a run any number of times, because the states of blocks can be restored.
 """
 
 from __future__ import annotations
@@ -290,8 +290,9 @@ class StateMap:
     def follows(self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None) -> bool:
         """Return whether anything depends on non-float values that differ a period after `numbers` and `start`.
 
-        It is put back to what it is after `start`, and floats have to go on as they do without; so many periods as such
-        values can hand something on among themselves, and some more, but not beyond the end of the run.
+        It is restored to its value after `start`, and the floats must then evolve as they do without this. The check
+        covers as many periods as such values need to pass something on among themselves, and some more, but not beyond
+        the end of the run.
         """
         periods = LATER + sum(np.size(value) for _, value in self.others())
         periods = min(periods, round(self.rig.scenario.duration / self.period) - self._first // self._every)

@@ -253,8 +253,8 @@ class Block(Generic[P]):
         """Return a value from which `load` can restore x any number of times; it is x itself unless part of x is
         opaque.
 
-        Something that cannot be an immutable value (a solver, an FMU, a policy) is in x as an object; its block defines
-        here how that object is stored.
+        If something cannot be an immutable value (a solver, an FMU, a policy), x contains it as an object, and its
+        block defines here how that object is stored.
         """
         return x
 
@@ -271,7 +271,7 @@ class Block(Generic[P]):
         Parameters
         ----------
         params : BlockParams
-            Those to go on with; `p` are still those of before.
+            The new ones; `p` still has the previous ones.
         """
         # A first state that was computed with the former parameters is no longer valid.
         self.p, self.__first = params, None
@@ -376,8 +376,8 @@ class Block(Generic[P]):
         -------
         x : named tuple
         values : mapping or None
-            As `update`; None, the default: the values given last are held, at first the ports' safe ones, and
-            sporadic ports are silent.
+            As `update`; None, the default: the last outputs are held, at first the ports' safe values, and sporadic
+            ports are silent.
         """
         return x_t[0], None
 

@@ -1,6 +1,6 @@
 """Functions that compute the ticks of one step, generated for it with all that they read and write bound in advance.
 
-A function that goes through tables of ports at each tick takes a third longer than one whose text names them.
+A function that iterates over tables of ports at each tick takes a third longer than one whose text names the ports.
 """
 
 from __future__ import annotations

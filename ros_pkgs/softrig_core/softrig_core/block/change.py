@@ -100,13 +100,13 @@ def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, A
     Returns
     -------
     BlockParams
-        As they are to be.
+        The changed parameters.
 
     Raises
     ------
     ParameterError
-        See `revise`; or the block cannot be set up with them, its ports would be others, or what the nodes of its rig
-        must agree on would differ.
+        See `revise`; or the block cannot be set up with them, its ports would change, or a quantity on which the nodes
+        of its rig must agree would change.
     """
     revised = revise(params, values)
     # Some errors appear only in `setup`, so a second block is set up: the running one must stay as it is if it fails.

@@ -33,7 +33,7 @@ class Batched(Protocol):
     Attributes
     ----------
     in_batches : bool
-        Whether it does; a subclass with an `update` of its own may not.
+        Whether it does; not necessarily for a subclass that overrides `update`.
     """
 
     in_batches: bool
@@ -79,7 +79,7 @@ class Gathering(Link):
     Parameters
     ----------
     step : Step
-        Of an observer without outputs that takes messages at once; its inputs are being wired.
+        Of an observer without outputs that processes messages in batches; its inputs are being wired.
     ticks : int
         Number of messages processed together.
     """

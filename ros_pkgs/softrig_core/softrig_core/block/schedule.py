@@ -1,8 +1,8 @@
 """Schedule: the one place for time. When a block is due, what a link holds, which tick is the last.
 
-A period is a rational number of seconds, so that 1/2880 s stays exact for ever; tick k is at ``t_k = k * period``,
-rounded to the nearest ns. All schedules of a rig start together and have periods that are whole multiples of the
-clock's, hence equal times round to equal stamps.
+A period is a rational number of seconds, so that 1/2880 s stays exact in runs of any length; tick k is at ``t_k = k *
+period``, rounded to the nearest ns. All schedules of a rig start together and have periods that are whole multiples of
+the clock's, hence equal times round to equal stamps.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A step: one member of a rig at its ticks, the same in every runner.
 
-It knows what the inputs of a tick are and how old, asks the block, and lets nothing out of it that may not leave.
+It has the inputs of a tick and their ages, calls the block, and publishes only valid outputs.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ class Linked(Elsewhere):
         Raises
         ------
         RunError
-            Lockstep: the board does not answer, or its code has given the tick up.
+            Lockstep: the board does not answer, or its code has discarded the tick.
         """
         line = self._connected(x)
         remarks = line.remarks()

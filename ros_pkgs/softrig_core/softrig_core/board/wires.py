@@ -145,7 +145,7 @@ def opened(port: str, baud: int) -> Wire:
     Raises
     ------
     ScenarioError
-        A package, tool or file is missing: waiting does not help.
+        A package, tool or file is missing, so waiting is useless.
     OSError
         The port cannot be opened now.
     """

@@ -1,7 +1,7 @@
 """Plants as drawings: shapes computed from the published signals of a rig, for any display.
 
-No drawing library: `drawing_for` gives a `Drawing`, its `frame` a list of shapes for one row of signal values. A plant
-names its own by `Plant.DRAWN_BY`.
+It uses no drawing library: `drawing_for` returns a `Drawing`, whose `frame` returns a list of shapes for one row of
+signal values. A plant names its drawing by `Plant.DRAWN_BY`.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class Quantity:
     unit : str
         As it is printed.
     rest : float
-        Value in the absence of one.
+        Value that is drawn if there is none.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Drawing:
     bounds : tuple of 4 floats
         Left, top, width, height of what is drawn on.
     trail : float
-        How long a past `frame` wants to see, s.
+        Length of the past that `frame` reads, s.
     title : str
         What is drawn.
     """

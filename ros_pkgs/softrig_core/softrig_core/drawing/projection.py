@@ -43,11 +43,11 @@ class Camera:
     Parameters
     ----------
     azimuth, elevation : float
-        From where it looks, rad: azimuth from x towards y, elevation above the ground.
+        Direction of the viewer, rad: azimuth from x towards y, elevation above the ground.
     scale : float
         Units a metre.
     origin : (float, float)
-        Where the origin of space is seen.
+        Position of the origin of space in the drawing.
     """
 
     azimuth: float

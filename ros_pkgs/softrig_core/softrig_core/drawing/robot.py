@@ -24,7 +24,7 @@ GRID = 4  # lines on the ground a direction
 class Robot(Drawing):
     """Links from joint to joint, their shadow on the ground, the path of the tip, the reference as a dashed skeleton.
 
-    Links are drawn with the same thickness whatever their shape: what counts is where they are.
+    All links are drawn with the same thickness, because only their positions matter.
     """
 
     trail = 1.5

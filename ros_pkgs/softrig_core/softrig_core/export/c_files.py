@@ -53,9 +53,9 @@ class Exported:
     channels : tuple of str
         The values that it publishes, as ``topic/label``.
     discards : tuple of str
-        What it answers by SR_GAVE_UP although Python does not raise there: ways that have no C.
+        Branches that C does not support, so that it returns SR_GAVE_UP although Python raises no error.
     ends : str
-        Why the golden rows end before the run does; empty: they do not, or after as many as wanted.
+        Why the golden rows end before the run; empty if they do not, or if they have the requested number.
     end : int or None
         Time of the call at which they end for that reason, ns.
     """
@@ -76,7 +76,7 @@ def check_class(member: Member) -> None:
     Raises
     ------
     NotNative
-        It is such a class: names it.
+        It is such a class; the message names it.
     """
     cls = member.block_class
     title = _place_of(cls)
@@ -92,7 +92,7 @@ def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, se
     Raises
     ------
     NotNative
-        What of it cannot be C: names its class and the line.
+        Part of it has no C; the message names its class and the line.
     """
     cls = member.block_class
     title = f"{cls.__module__}.{cls.__qualname__}"
@@ -150,7 +150,7 @@ def c_files(
     Raises
     ------
     NotNative
-        What of it cannot be C, and its line.
+        Part of it has no C; the message names the line.
     """
     return _Files(member, block, golden, drawn, single).exported()
 
@@ -679,7 +679,7 @@ class _Files:
     def rows(self) -> str:
         """Return the golden rows, one call a line: ``method status t inputs... | outputs...``, numbers as %a.
 
-        The status is 0, 1 where Python raises, and 2 where C may discard what Python answers.
+        The status is 0, 1 if Python raises an error, and 2 if C may discard a tick that Python answers.
         """
         lines = []
         for calls in (self.golden, *self.drawn):
@@ -994,7 +994,7 @@ def _settable(
 ) -> dict[str, tuple[int, ...]]:
     """Return the live parameters that can be set in C, because only constants contain them: name to slots.
 
-    Tried, not deduced: another block is made with that parameter moved, and takes states over where C cannot.
+    This is tried, not deduced: another block with that parameter moved is created and compared.
     """
     result: dict[str, tuple[int, ...]] = {}
     first, known = block.first(), flatten(block.p)

@@ -39,7 +39,7 @@ class Replayed:
     wrong_status : int
         Calls in which Python raised an error and C did not, or the other way round.
     errors : list of (float, float)
-        Of each value that is published, over the calls of the run: largest difference, and largest magnitude.
+        For each published value, over the calls of the run: largest difference, and largest magnitude.
     flash : int
         Code and constants of the node on a board, bytes; 0 on this machine.
     """

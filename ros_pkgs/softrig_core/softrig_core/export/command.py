@@ -67,7 +67,7 @@ def export_c(
     Raises
     ------
     ScenarioError
-        There is no such node, or what it does has no C: names the line.
+        There is no such node, or part of it has no C; the message names the line.
     """
     done = c_of(rig, node, rows=rows, drawn=drawn, single=single)
     _written(done, folder)

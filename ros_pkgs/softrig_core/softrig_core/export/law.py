@@ -51,7 +51,7 @@ class Law:
     roots : mapping of Form to str
         The function of each form.
     arrays : mapping of Form to tuple of str
-        What it is handed beside time, state and inputs.
+        Arrays that it receives in addition to time, state and inputs.
     reports : Reports
     states : list
         Types that the state has at some time, the first one first.
@@ -68,8 +68,9 @@ class Law:
 def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[Form, Call]]:
     """Return the types that the state has at some time, and the newest call of each form.
 
-    What keeps more or fewer samples at another time is one type, with room for the most. Calls of the run go before
-    drawn ones, and these before what no port admits: odd numbers leave types of what is computed from them unknown.
+    States that store different numbers of samples at different times are one type, with room for the largest number.
+    Calls of the run come before drawn ones, and these before calls with values that no port admits, because the types
+    of results of such values may stay unknown.
     """
     kinds = [kind_of(packed(x), ("its state",)) for x in (block.first(), *(x for c in calls for x in (c.x, c.after)))]
     rooms: dict[tuple[Any, ...], int] = {}
@@ -262,7 +263,8 @@ def check_text(text: Text, calls: Sequence[Call | Changed], outputs: Sequence[Po
     Raises
     ------
     NotNative
-        The text discards a call that Python answered, or gives another answer: names the time, and why if it is known.
+        The text discards a call that Python answered, or returns another answer; the message has the time and, if
+        known, the reason.
     """
     for call in calls:
         if isinstance(call, Changed):

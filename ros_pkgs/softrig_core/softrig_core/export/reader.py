@@ -1,8 +1,8 @@
 """From the text of one block, specialised for native code, to statements of C99.
 
 The text is the one that numba compiles (`softrig_core.native`). Its types follow from those of its arguments: a
-function is read again until no variable changes its type. A call that may discard the tick is a statement of its own,
-so that its flag is looked at before anything else is computed.
+function is read again until no variable changes its type. A call that may discard the tick is a separate statement, so
+that its flag is checked before anything else is computed.
 """
 
 from __future__ import annotations

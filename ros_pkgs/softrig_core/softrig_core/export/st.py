@@ -1,7 +1,8 @@
 """Structured text (IEC 61131-3, as CODESYS and TwinCAT have it) from the C of a block.
 
 The C that is printed for a block is read again as a tree, and each declaration and statement of it becomes one of
-structured text: what C writes as one expression (a struct of its parts, a choice) becomes statements with a name.
+structured text: an expression of C without a counterpart (a struct made of its parts, a choice) becomes named
+statements.
 """
 
 from __future__ import annotations
@@ -82,12 +83,12 @@ def structured_text(name: str, header: str, source: str, support: str, member: M
     header, source, support : str
         The text of its files.
     member : Member
-        Of whom it is: its ports are inputs and outputs of the function block.
+        The node; its ports become inputs and outputs of the function block.
 
     Raises
     ------
     NotNative
-        What of it has no structured text.
+        Part of it has no structured text.
     """
     if f"int {name}_step(" not in source:
         raise NotNative("structured text is for controllers; this is a plant")

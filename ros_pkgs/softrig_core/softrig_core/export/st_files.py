@@ -50,7 +50,7 @@ def st_of(rig: Rig, node: str, *, rows: int = ROWS, drawn: int = DRAWN) -> tuple
     Raises
     ------
     ScenarioError
-        There is no such node, or what it does has no structured text: by reason.
+        There is no such node, or part of it has no structured text; the message has the reason.
     """
     done = c_of(rig, node, rows=rows, drawn=drawn)
     n, files = done.name, done.files

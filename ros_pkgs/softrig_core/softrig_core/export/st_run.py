@@ -1,6 +1,6 @@
 """Run structured text: an interpreter of the text that `st` prints, which compares it with golden rows without a PLC.
 
-It reads the printed text alone, line by line, and knows nothing of the C and the Python from which that came.
+It reads only the printed text, line by line, independently of the C and the Python that the text was made from.
 """
 
 from __future__ import annotations

@@ -70,9 +70,9 @@ class Unit:
     texts : mapping of str to str
         The functions of the text, by name.
     names : mapping of str to object
-        What the text names beside them.
+        Other objects that the text names.
     constants : sequence
-        The slots ``c[k]``: a `Value` where the node keeps it, else Python's, which is written out.
+        The slots ``c[k]``: a `Value` if the node stores it, otherwise a Python value, which is written out.
     reports : mapping of int to int
         Place in the text's table of reports to number of the report.
     """

@@ -40,7 +40,7 @@ def link_units(member: Member, block: Unit | None) -> list[Unit]:
     member : Member
         The node.
     block : Unit or None
-        Its function block; None: the user writes what is computed.
+        Its function block; None: the user writes the computation.
     """
     n, plant = identifier(member.name), issubclass(member.block_class, Plant)
     times = [("moves", "BOOL"), ("from_ns", "LINT"), ("t_ns", "LINT")] if plant else [("t_ns", "LINT")]

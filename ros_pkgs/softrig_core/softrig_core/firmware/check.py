@@ -46,7 +46,8 @@ class Checked:
     longest : int
         Longest step.
     flash, ram, stack : int
-        Bytes: code and constants; static data; deepest stack by `-fstack-usage`, and by pushes of library functions.
+        Bytes: code and constants; static data; deepest stack, from `-fstack-usage` and from the pushes in library
+        functions.
     """
 
     rows: int

@@ -33,8 +33,8 @@ class Expectation(Entry):
     at_most, at_least : float, optional
         Bounds.
     text : str
-        As it is written, where it follows the machine: with ``$node.parameter`` in it. Its numbers are known once the
-        nodes are (`resolved`).
+        The written text if it follows the machine, that is, contains ``$node.parameter``. Its numbers are known once
+        the nodes are known (`resolved`).
     """
 
     expected: float | None = None
@@ -86,7 +86,8 @@ class Expectation(Entry):
     def margin(self, value: float) -> float:
         """Return how far a value is within its bounds, negative beyond one; NaN without a bound.
 
-        It is a margin as requirements have it: two-sided expectations, of a value known beforehand, have none.
+        It is a margin like that of a requirement. Two-sided expectations are for values that are known beforehand and
+        have none.
         """
         rooms = [
             *(() if self.at_most is None else (self.at_most - value,)),

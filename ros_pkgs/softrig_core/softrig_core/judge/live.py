@@ -39,8 +39,9 @@ class Opened(NamedTuple):
 class Live:
     """A formula on a record that grows by one instant at a time.
 
-    Of an operator at the first instant it keeps what is decided and the instants that are still open, an `Opened`, so a
-    tick costs what its windows are long; below it an operator without end leaves every instant open, and all are kept.
+    For an operator at the first instant it stores the decided part and the instants that are still open (`Opened`), so
+    the cost of a tick depends on the lengths of its windows. An unbounded operator below it leaves every instant open,
+    so all of them are stored.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Figure functions: figures of merit of a recording; a scenario names them and sets their arguments.
 
-Every function is called as ``f(signals, **arguments)`` and gives a float. `signals` maps a name
+Every function is called as ``f(signals, **arguments)`` and returns a float. `signals` maps a name
 ``topic/channel/field`` to (t, x): `softrig_core.wire.signals.Signals`, or a plain dict of array pairs.
 
 Arguments with the same meaning everywhere:
@@ -19,8 +19,8 @@ reference : float or str
     each of its own values, too).
 
 A sample holds until the next one, the last one to the end of the record. Means and integrals are over time: each value
-counts for as long as it holds. So a signal of which messages are lost, or whose stamps are uneven, has the figures of
-the same signal sent at each tick. Times are counted from `start`, or from the first sample.
+counts for as long as it holds. So lost messages or uneven stamps do not change the figures of a signal that would
+otherwise be sent at each tick. Times are counted from `start`, or from the first sample.
 
 Raises
 ------

@@ -1,8 +1,8 @@
 """Margins of requirements by native code, in one pass over the samples.
 
-Most requirements ask for one thing always or at some time: ``always[a, b] (x <= c and abs(y) < d)``. What they compare
-is translated into a few instructions, which native code follows for a block of samples at a time, small enough for the
-cache of the CPU. `robustness.Record` is the reference; it also decides all that is refused here.
+Most requirements demand one condition always or at some time: ``always[a, b] (x <= c and abs(y) < d)``. What they
+compare is translated into a few instructions, which native code follows for a block of samples at a time, small enough
+for the cache of the CPU. `robustness.Record` is the reference; it also evaluates every formula that is refused here.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Robustness: the distance of a formula from violation on a record, as far as it is known.
 
 Two things may be unknown: what comes after the record, and what arithmetic does not define (NaN, a division by zero).
-So a value is four numbers: the least and the greatest over what may come, each the least and the greatest over what is
-undefined. An operator without end asks as far as the record goes: of what is open at its end it takes what is decided.
+So a value is four numbers: the least and the greatest over all continuations of the record, each as the least and the
+greatest over all undefined values. An unbounded operator is evaluated up to the end of the record; of the part that is
+open there, it uses what is decided.
 """
 
 from __future__ import annotations

@@ -182,13 +182,13 @@ class Compiled:
 def cache_folder() -> Path:
     """Return the folder of compiled code and locks: ``$XDG_CACHE_HOME/softrig``, by default ``~/.cache/softrig``.
 
-    Where that cannot be (no home, a read-only one), ``/tmp/softrig-UID``, and only if it is the user's alone: what is
-    in it is executed.
+    If that is impossible (no home, or a read-only one), ``/tmp/softrig-UID`` is used, but only if no other user may
+    write to it, because its content is executed.
 
     Raises
     ------
     OSError
-        Neither can be.
+        Both are impossible.
     """
     base = os.environ.get("XDG_CACHE_HOME")
     # `Path.home` raises a RuntimeError for a user without a home.
@@ -230,7 +230,7 @@ def moved(path: Path, make: Callable[[Path], object]) -> None:
     path : Path
         An existing file is replaced.
     make : callable
-        Writes the file whose path it gets, which is alone in a folder beside the place.
+        Writes the file at the path that it receives, in an otherwise empty folder beside the target.
     """
     # Beside the place, because a file can only be renamed within one file system.
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:

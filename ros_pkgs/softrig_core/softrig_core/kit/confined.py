@@ -33,12 +33,12 @@ def confine(keep: Iterable[str | Path] = ()) -> None:
     Parameters
     ----------
     keep : iterable of path
-        What it is to read of the folders in `HIDDEN` and of the home, besides Python and what is imported.
+        Files and folders in `HIDDEN` and in the home that stay readable, in addition to Python and its imports.
 
     Raises
     ------
     OSError
-        The system does not allow it. The process may have lost some rights by then, and is to end.
+        The system does not allow it. The process may already have lost some rights and must end.
     """
     libc = ctypes.CDLL(None, use_errno=True)
 

@@ -79,7 +79,8 @@ class Draws:
     """A stream of random numbers as a function of an index.
 
     Numbers are drawn in rows, in their order; the generator's state before each row is kept (two words), so that going
-    back draws the same row again. What is kept is a cache: the k-th number depends on the stream and k alone.
+    back draws the same row again. The stored numbers are only a cache: the k-th number depends on the stream and on k
+    alone.
 
     Parameters
     ----------

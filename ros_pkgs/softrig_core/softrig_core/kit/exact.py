@@ -1,6 +1,6 @@
 """Matrix arithmetic in Python's integers: results correct to the last bit of a float64, the same on every CPU.
 
-A float64 is an integer times a power of two, so matrices are held as integers in units of 2^-bits. Sums round nowhere,
+A float64 is an integer times a power of two, so matrices are held as integers in units of 2^-bits. Sums are exact;
 products are cut off at the last bit carried. `settled` carries more bits until 64 more of them change no result.
 """
 

@@ -189,7 +189,7 @@ class _Line:
 class HistoryRing(NamedTuple):
     """A `History` in native code, which puts samples into one ring; the newest is at hand.
 
-    Read by the translation: the same arithmetic as there.
+    Native code uses it: its arithmetic is the same as that of `History`.
     """
 
     step: float

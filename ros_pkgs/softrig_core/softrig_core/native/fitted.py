@@ -114,7 +114,7 @@ def text_for(
     Raises
     ------
     NotNative
-        What of the blocks native code does not know.
+        Part of the blocks is not supported by native code.
     """
     if kinds in _refused:
         raise NotNative(_refused[kinds])

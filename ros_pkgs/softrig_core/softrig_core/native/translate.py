@@ -247,7 +247,7 @@ class Same:
 def signature(value: Any, nested: bool = False) -> Any:
     """Return the part of a value that must be equal for the same text: numbers and texts, and the type of an object.
 
-    What is `nested` of another value has no path of its own: it must be the same object.
+    A value that is `nested` in another one has no separate path, so it must be the same object.
     """
     if isinstance(value, (*NUMBERS, str, bytes, type(None), type)):
         # With the type, because 1, 1.0 and True are equal in Python and are written differently.

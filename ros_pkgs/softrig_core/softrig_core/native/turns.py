@@ -92,8 +92,8 @@ def wiring(steps: Sequence[Step]) -> Any:
 class Deciding(Protocol):
     """A block that leaves rare ticks to Python because they are not arithmetic, such as the next step of a search.
 
-    What native code cannot translate it leaves to Python by itself, but it finds out late and computes the ticks before
-    that one again.
+    Native code also leaves untranslated branches to Python without this declaration, but it detects them late and
+    computes the earlier ticks of the batch again.
     """
 
     def decides(self, x: Any, t: int) -> bool:
@@ -362,7 +362,7 @@ def rows_of(
     KeyError
         An output is not in the answer.
     NotNative
-        A row has another length than its port, or is not of an output; Python's tick then says so.
+        A row has another length than its port, or is not of an output; the tick in Python then reports the error.
     """
     if isinstance(value, Dynamic) and value.keys is not None:
         value = writer.unfolded(value)

@@ -469,7 +469,7 @@ def _plain(value: Any) -> Any:
 def same(a: Value, b: Value) -> bool:
     """Return whether two values are one; those with arrays in their samples count as two.
 
-    Numbers that Python calls equal may be two: 0.0 and -0.0, 1 and True.
+    Numbers that are equal in Python may differ here: 0.0 and -0.0, 1 and True.
     """
     try:
         return a == b and repr(a) == repr(b)

@@ -28,10 +28,10 @@ _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 def contents(block: Block) -> dict[str, str]:
     """Return a digest of each attribute of a block, with all that it leads to.
 
-    It sees what is changed in place, too: in lists, dicts, arrays, helper objects, random generators, variables that a
-    function holds, attributes of the block's classes, and variables of a module or function that its methods name.
-    Of classes that are not softrig's own, functions and modules that the methods use are followed, too. Left out are
-    what a class names in ``SCRATCH``, cached properties, and what libraries keep outside of Python.
+    It also detects changes in place: in lists, dicts, arrays, helper objects, random generators, variables that a
+    function holds, attributes of the block's classes, and variables of a module or function that its methods name. Of
+    classes that are not softrig's own, functions and modules that the methods use are followed, too. Left out are what
+    a class names in ``SCRATCH``, cached properties, and what libraries keep outside of Python.
     """
     skipped = _RUNNERS | _scratch(type(block))
     attributes = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
@@ -75,8 +75,8 @@ class StartContents:
     thorough : bool
         Compare all blocks, and once more after the run; else those of classes that have not passed in this process.
     many : bool
-        Other runs will follow in this process: of classes that are not softrig's own, compare after the run what
-        outlives it.
+        Other runs will follow in this process: for classes that are not softrig's own, compare after the run everything
+        that outlives it.
 
     Attributes
     ----------

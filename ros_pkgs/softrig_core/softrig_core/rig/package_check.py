@@ -43,9 +43,9 @@ def lint(linter: str, package: str) -> int | None:
 def check_entry_point(point: EntryPoint) -> str:
     """Load an executable or figure function and check that it can be used with its own defaults.
 
-    A block's ports have distinct names and topics of their own, it can be set up, and a plant's outputs at the start
-    are finite and the same after a reset. Two ticks on first values change only its state x, and from the same
-    x they are the same.
+    A block's ports must have distinct names and topics, the block can be set up, and a plant's outputs at the start are
+    finite and the same after a reset. Two ticks on first values change only the state x, and repeated from the same x
+    they are the same.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def check_entry_point(point: EntryPoint) -> str:
     Returns
     -------
     str
-        Why less was checked; empty when all was.
+        Why less was checked; empty if everything was checked.
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """The figures of a scenario while its rig runs, or together with hardware that publishes on the same topics.
 
-In a run of which all is recorded in this process nobody asks for them before its end. The node then keeps nothing while
-the run is under way, which would be a second copy of the recording: its figures are measured from the recording.
+If a run is recorded completely in this process, no reader needs the figures before its end. The node then stores
+nothing while the run is under way, because that would be a second copy of the recording. The figures are measured from
+the recording.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def feed(member: Member, seed: int, recording: Recording) -> Recording:
     seed : int
         Rig seed of the recording.
     recording : Recording
-        Must hold every topic that the member reads from the rig.
+        Must have every topic that the member reads from the rig.
 
     Returns
     -------

@@ -82,12 +82,12 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
     value : any
         Plain data.
     parameter : callable
-        Gives a value for the name of a node and the dotted name of its parameter.
+        Returns a value for the name of a node and the dotted name of its parameter.
 
     Raises
     ------
     ScenarioError
-        What takes the places of references has more than `NODES` values.
+        The values inserted for references are more than `NODES`.
     """
     count = 0
 

@@ -157,7 +157,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
 def _with_whole_paths(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
     """Return the absolute path of a file that a node's parameter or link, or a shared value, names beside this one.
 
-    What is found from the current directory is left as it is written.
+    A path that exists relative to the current directory stays as written.
     """
 
     def full(value: Any) -> Any:
@@ -207,8 +207,8 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
     """Merge a scenario's own entry into the inherited one.
 
     Mappings merge level by level, null removes, and the keys `OWN` come from the entry alone. A node with another
-    executable loses the inherited parameters, a figure with another function all that is inherited: it would mean
-    nothing.
+    executable loses the inherited parameters, and a figure with another function loses all inherited keys, because they
+    would be meaningless.
 
     Parameters
     ----------
@@ -266,9 +266,9 @@ def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     base : mapping
-        What lies below; left as it is.
+        The lower mapping; it is not modified.
     change : mapping
-        What goes over it. A mapping over a reference ``$name`` becomes an `Over`.
+        Mapping that overrides it. A mapping over a reference ``$name`` becomes an `Over`.
     """
     merged = dict(base)
     for key, value in change.items():

@@ -107,7 +107,7 @@ def read_yaml(text: str, source: str, texts: bool = False) -> Any:
     Parameters
     ----------
     source : str
-        What error messages call it, such as the file's name.
+        Its name in error messages, such as the file's name.
     texts : bool
         Whether all scalars are texts, for readers that have their own numbers.
 

@@ -94,7 +94,7 @@ def hold(
     claims : mapping of str to Claim
         By key.
     figures : callable
-        Gives the figures of a scenario by its name; None when it was not run or broke.
+        Returns the figures of a scenario by its name; None if it was not run or failed.
     units : mapping of str to str
         Unit by figure.
     """

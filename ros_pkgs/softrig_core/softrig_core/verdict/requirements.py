@@ -1,6 +1,6 @@
 """Requirements of a scenario: formulas of signal temporal logic over its shared names, measured like any figure.
 
-A requirement is a figure whose value is its margin (robustness) and whose expectation is: at least zero.
+A requirement is a figure whose value is its margin (robustness), which is expected to be at least zero.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class Result(BaseModel):
         Parameters
         ----------
         why : str
-            What the machine had for which it is published.
+            Parameters of the machine for which it is published.
         """
         if self.follows or not self.judged or not why:
             return self

@@ -76,7 +76,7 @@ def full_name(name: str, known: Iterable[str]) -> str:
     Returns
     -------
     str
-        The name itself when it is whole, or when none or several signals begin so.
+        The name itself if it is complete, or if no signal or several signals begin with it.
     """
     names = list(known)
     if name in names:

@@ -18,7 +18,7 @@ class Writer:
     data : bytearray
         The message so far, the four bytes of the encapsulation included; alignment counts after these.
     written : list of (int, int)
-        Start and end of what has been written: not of padding, nor of what was left open.
+        Start and end of the written parts, without padding and reserved space.
     """
 
     def __init__(self) -> None:

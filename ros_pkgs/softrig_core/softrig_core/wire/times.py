@@ -60,7 +60,7 @@ def common(times: _T) -> _T:
     Parameters
     ----------
     times : array, shape (n,)
-        Ascending; the caller gives it away.
+        Ascending; the caller must not use it afterwards.
     """
     if not times.size or times.nbytes > LARGEST or is_long(times):
         return times

@@ -1,6 +1,6 @@
 """The message types of softrig, each described once: fields in wire order, with names, stamps, shapes and labels.
 
-Codec, ports, signals, links and the comparison of bags all ask here; a new type is one entry of `TYPES`.
+Codec, ports, signals, links and the comparison of bags all use this table; a new type is one entry of `TYPES`.
 """
 
 from __future__ import annotations
