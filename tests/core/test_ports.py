@@ -144,6 +144,8 @@ def test_units_are_declared_by_channel():
     assert joint_state("x", "x", ["a", "b"], position=["rad", "m"], velocity="1").units == ("rad", "m", "1", "1")
     with pytest.raises(ValueError, match="3 units for 2 values"):
         command("u", "u", ["a", "b"], ["N", "V", "A"])
+    # A key of a native text contains the limits.
+    assert command("u", "u", ["a", "b"], "N", limits=[1.0, 2.0]).limits == (1.0, 2.0)
 
 
 @given(

@@ -81,7 +81,7 @@ class McapFile:
         self._start_chunk()
 
     def _start_chunk(self) -> None:
-        self._parts: list[bytes] = []
+        self._parts: list[bytes | NDArray[np.uint8]] = []
         self._size = 0
         self._index: dict[int, array[int]] = {}  # of each topic: time and place of each message, in turn
 
@@ -105,7 +105,7 @@ class McapFile:
         self._put(self._channels[number])
         self.counts[number] = 0
 
-    def _put(self, record: bytes) -> None:
+    def _put(self, record: bytes | NDArray[np.uint8]) -> None:
         self._parts.append(record)
         self._size += len(record)
 
@@ -131,13 +131,15 @@ class McapFile:
         """Bytes in the open chunk."""
         return self._size
 
-    def write_block(self, content: bytes, index: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]]) -> None:
+    def write_block(
+        self, content: NDArray[np.uint8], index: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]]
+    ) -> None:
         """Append records of messages that belong into the open chunk.
 
         Parameters
         ----------
-        content : bytes
-            The records; the last one may reach beyond `CHUNK_BYTES`.
+        content : array of bytes
+            The records, which are not copied; the last one may reach beyond `CHUNK_BYTES`.
         index : mapping of int to two int arrays of shape (n,)
             By topic, in the order of their first messages: bag times in ns, and where in the content they begin.
         """
@@ -158,15 +160,16 @@ class McapFile:
         first, last = int(min(map(np.min, times))), int(max(map(np.max, times)))
         head = pack("<QQQI", first, last, len(content), zlib.crc32(content)) + _text(self.compression)
         head += pack("<Q", len(compressed))
-        chunk = pack("<BQ", CHUNK, len(head) + len(compressed)) + head + compressed
+        head = pack("<BQ", CHUNK, len(head) + len(compressed)) + head
+        length = len(head) + len(compressed)
         index, offsets = b"", {}
         for number, entries in self._index.items():
-            offsets[number] = self._end + len(chunk) + len(index)
+            offsets[number] = self._end + length + len(index)
             record = pack("<HI", number, 8 * len(entries)) + _little(entries)
             index += _record(MESSAGE_INDEX, record)
         start = self._end
-        self._write(chunk + index)
-        record = pack("<QQQQI", first, last, start, len(chunk), 10 * len(offsets))
+        self._write(head, compressed, index)
+        record = pack("<QQQQI", first, last, start, length, 10 * len(offsets))
         record += b"".join(pack("<HQ", *o) for o in offsets.items())
         record += pack("<Q", len(index)) + _text(self.compression) + pack("<QQ", len(compressed), len(content))
         self._chunk_index.append(_record(CHUNK_INDEX, record))
@@ -177,18 +180,19 @@ class McapFile:
             self.counts[number] += len(entries) // 2
         self._start_chunk()
 
-    def _write(self, data: bytes) -> None:
-        """Write all of it, or leave the file as it was and raise."""
-        view = memoryview(data)
+    def _write(self, *parts: bytes) -> None:
+        """Write all of them, or leave the file as it was and raise."""
         try:
-            while view:
-                view = view[self._file.write(view) or 0 :]
+            for part in parts:
+                view = memoryview(part)
+                while view:
+                    view = view[self._file.write(view) or 0 :]
         except OSError:
             # A record cut in half would hide everything behind it from readers, so the file ends where it was whole.
             self._file.seek(self._end)
             self._file.truncate()
             raise
-        self._end += len(data)
+        self._end += sum(map(len, parts))
 
     def _metadata_record(self, text: str) -> bytes:
         """Return the next record to write, and add it to the index."""

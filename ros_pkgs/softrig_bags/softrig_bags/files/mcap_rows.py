@@ -23,32 +23,52 @@ _LENGTH = 22  # bytes of a message's record beside its data
 
 
 class _Feed:
-    """Messages of a topic in their order, some at a time."""
+    """Messages of a topic in their order, some at a time.
+
+    Attributes
+    ----------
+    length : int
+        Number of bytes of each message; 0 if they are not equally long.
+    """
 
     def __init__(self, topic: Topic, number: int) -> None:
         self.number = number
         self._columns = topic.columns()
         self._times, self._data = ([], []) if self._columns else (topic.times, topic.data)
         self._position = 0
+        lengths = set(map(len, self._data))
+        only = next(iter(lengths), 0) if len(lengths) < 2 else 0
+        self.length = self._columns.layout.length if self._columns else only
 
-    def sizes(self, count: int) -> NDArray[np.int64] | int:
-        """Return the number of bytes of each of the first unread messages; one number if all are equally long."""
-        if self._columns is not None:
-            return self._columns.layout.length
+    def sizes(self, count: int) -> NDArray[np.int64]:
+        """Return the number of bytes of each of the first unread messages."""
         return np.fromiter(map(len, self._data[self._position : self._position + count]), np.int64, count)
 
-    def read(self, count: int) -> tuple[NDArray[np.int64], NDArray[np.uint8] | list[bytes]]:
-        """Return times and bytes of the next messages; an array of shape (count, bytes) where all are of one length."""
+    def read(self, count: int) -> tuple[NDArray[np.int64], list[NDArray[Any]]]:
+        """Return times and records of the next messages; all records in one array if they are equally long."""
         first, last = self._position, self._position + count
         self._position = last
         if self._columns is not None:
-            columns = self._columns.part(first, last)
-            return columns.times, columns.encoded(first)
-        data = self._data[first:last]
-        times = np.array(self._times[first:last], np.int64)
-        if len(set(map(len, data))) > 1:
-            return times, data
-        return times, np.frombuffer(b"".join(data), np.uint8).reshape(count, -1)
+            part = self._columns.part(first, last)
+            records = self._records(part.times, self.length)
+            part.encoded(first, records["data"])
+            return part.times, [records]
+        times, data = np.array(self._times[first:last], np.int64), self._data[first:last]
+        if self.length:
+            records = self._records(times, self.length)
+            records["data"] = np.frombuffer(b"".join(data), np.uint8).reshape(count, -1)
+            return times, [records]
+        result = [self._records(times[k : k + 1], len(message)) for k, message in enumerate(data)]
+        for one, message in zip(result, data, strict=True):
+            one["data"] = np.frombuffer(message, np.uint8)
+        return times, result
+
+    def _records(self, times: NDArray[np.int64], length: int) -> NDArray[Any]:
+        """Return records of messages of one length without their data."""
+        rows = np.empty(len(times), np.dtype([*_HEAD, ("data", "u1", (length,))]))
+        rows["code"], rows["length"], rows["number"], rows["sequence"] = MESSAGE, _LENGTH + length, self.number, 0
+        rows["log"] = rows["publish"] = times
+        return rows
 
 
 def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, int]) -> None:
@@ -68,11 +88,12 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
         if (earliest := int(np.min(topic.ticks(), initial=0))) < 0:
             raise BagError(f"{topic.name}: a message at {earliest} ns, expected times from 0 on")
     feeds = [_Feed(topic, numbers[name]) for name, topic in recording.topics.items()]
+    lengths = np.array([feed.length for feed in feeds], np.int64)
     for ranks in recording.order():
-        sizes = np.empty(len(ranks), np.int64)
-        for rank, feed in enumerate(feeds):
+        sizes = lengths[ranks]
+        for rank in np.flatnonzero(lengths == 0).tolist():
             rows = np.flatnonzero(ranks == rank)
-            sizes[rows] = feed.sizes(len(rows))
+            sizes[rows] = feeds[rank].sizes(len(rows))
         ends = np.cumsum(sizes + _HEAD_SIZE)
         done = 0
         while done < len(ranks):
@@ -88,43 +109,22 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
 def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], offsets: NDArray[np.int64], size: int) -> None:
     """Append messages that go into one chunk; `offsets` is the offset of each message."""
     content = np.empty(size, np.uint8)
+    rows = [(rank, np.flatnonzero(ranks == rank)) for rank in range(len(feeds))]
     index = {}
-    known, begins = np.unique(ranks, return_index=True)
-    for rank in known[np.argsort(begins)].tolist():
-        selected = offsets[np.flatnonzero(ranks == rank)]
-        times, data = feeds[rank].read(len(selected))
-        number = feeds[rank].number
-        index[number] = times, selected
-        if isinstance(data, list):
-            for k, message in enumerate(data):
-                _write_at(
-                    content, selected[k : k + 1], number, times[k : k + 1], np.frombuffer(message, np.uint8)[None]
-                )
-        else:
-            _write_at(content, selected, number, times, data)
-    file.write_block(content.tobytes(), index)
+    # Topics are listed in the order of their first messages.
+    for rank, own in sorted((each for each in rows if each[1].size), key=lambda each: int(each[1][0])):
+        selected, done = offsets[own], 0
+        times, blocks = feeds[rank].read(len(selected))
+        index[feeds[rank].number] = times, selected
+        for records in blocks:
+            _write_at(content, selected[done : done + len(records)], records)
+            done += len(records)
+    file.write_block(content, index)
 
 
-def _write_at(
-    content: NDArray[np.uint8],
-    offsets: NDArray[np.int64],
-    number: int,
-    times: NDArray[np.int64],
-    data: NDArray[np.uint8],
-) -> None:
-    """Write the records of messages of one length where they belong."""
-    count, length = data.shape
-    kind = np.dtype([*_HEAD, ("data", "u1", (length,))])
-    steps = np.diff(offsets)
-    # A rig publishes the same topics at each tick, so a topic's records mostly lie at equal distances in the chunk.
-    regular = not len(steps) or bool((steps == steps[0]).all())
-    if regular:
-        step = int(steps[0]) if len(steps) else kind.itemsize
-        rows: Any = np.ndarray((count,), kind, content.data, int(offsets[0]), (step,))
-    else:
-        rows = np.empty(count, kind)
-    rows["code"], rows["length"], rows["number"], rows["sequence"] = MESSAGE, _LENGTH + length, number, 0
-    rows["log"] = rows["publish"] = times
-    rows["data"] = data
-    if not regular:
-        content[offsets[:, None] + np.arange(kind.itemsize)] = rows.view(np.uint8).reshape(count, -1)
+def _write_at(content: NDArray[np.uint8], offsets: NDArray[np.int64], records: NDArray[Any]) -> None:
+    """Write records of one length where they belong."""
+    size = records.itemsize
+    # An item of this view begins at each byte, so that a record is copied as a whole.
+    items = np.ndarray((len(content) - size + 1,), np.dtype((np.void, size)), content.data, 0, (1,))
+    items[offsets] = records.view(items.dtype)

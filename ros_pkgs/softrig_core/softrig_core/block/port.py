@@ -125,8 +125,9 @@ class Port:
             object.__setattr__(self, "safe", (0.0,) * self.size)
         if len(self.safe) != self.size:
             raise ValueError(f"port {self.name}: {len(self.safe)} safe values for {self.size} values")
-        if not self.limits:
-            object.__setattr__(self, "limits", tuple(PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) for unit in self.units))
+        # A list is accepted, too, but keys of native texts contain the limits.
+        limits = self.limits or (PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) for unit in self.units)
+        object.__setattr__(self, "limits", tuple(limits))
         if len(self.limits) != self.size:
             raise ValueError(f"port {self.name}: {len(self.limits)} limits for {self.size} values")
         if self.also and (not self.type.named or len(self.also) != len(self.channels)):

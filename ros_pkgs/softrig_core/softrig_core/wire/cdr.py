@@ -178,7 +178,9 @@ class Layout:
         """Pickle the data from which it was made, because its functions are generated."""
         return Layout, self.form
 
-    def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    def encode_block(
+        self, stamps: NDArray[np.int64], values: NDArray[np.float64], rows: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
         """Return the bytes of n messages as an array of shape (n, length); each row is a result of `encode`.
 
         Parameters
@@ -186,11 +188,15 @@ class Layout:
         stamps : array of shape (n,)
             ns, or the numbers of arrays.
         values : array of shape (n, size)
+        rows : array of shape (n, length), optional
+            Where they are written, in place of a new array.
         """
-        rows = np.tile(np.frombuffer(self.encode(0, (0.0,) * self.size), dtype=np.uint8), (len(stamps), 1))
+        if rows is None:
+            rows = np.empty((len(stamps), self.length), np.uint8)
+        rows[:] = np.frombuffer(self.encode(0, (0.0,) * self.size), dtype=np.uint8)
         if self.stamp_offset is not None:
-            start = self.stamp_offset
-            parts = np.column_stack((stamps // SECOND, stamps % SECOND)).astype("<u4")
+            start, parts = self.stamp_offset, np.empty((len(stamps), 2), "<u4")
+            parts[:, 0], parts[:, 1] = np.divmod(stamps, SECOND)
             rows[:, start : start + 8] = parts.view(np.uint8)
         if self.numbered:
             start = self._number_offset
@@ -200,7 +206,7 @@ class Layout:
         for offset, code in self.slots:
             n = int(code[:-1])
             block = np.ascontiguousarray(values[:, first : first + n])
-            raw = block.astype("<f8").view(np.uint8) if code[-1] == "d" else (block != 0.0).astype(np.uint8)
+            raw = block.astype("<f8", copy=False).view(np.uint8) if code[-1] == "d" else (block != 0.0).astype(np.uint8)
             rows[:, offset : offset + raw.shape[1]] = raw
             first += n
         return rows

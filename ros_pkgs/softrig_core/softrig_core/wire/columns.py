@@ -85,10 +85,13 @@ class Columns(NamedTuple):
             offset = SPARE + len(self.times)
         return self.room[k, first : offset + sizes[1]]
 
-    def encoded(self, count: int) -> NDArray[np.uint8]:
-        """Return the bytes of the messages, a row each; `count` is the number of earlier messages of the topic."""
+    def encoded(self, count: int, rows: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """Return the bytes of the messages, a row each; `count` is the number of earlier messages of the topic.
+
+        They are written into `rows`, of shape (n, bytes), if that is given.
+        """
         marks = np.arange(count, count + len(self.times)) if self.layout.numbered else self.times
-        return self.layout.encode_block(marks, self.values)
+        return self.layout.encode_block(marks, self.values, rows)
 
     def messages(self, count: int) -> list[bytes]:
         """Return the bytes of each message; see `encoded`."""
