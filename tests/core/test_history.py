@@ -9,46 +9,7 @@ import numpy as np
 import pytest
 from conftest import PATIENCE
 from softrig_core import History, jit
-from softrig_core.kit.dde import Track, between, delayed, integrator, trajectory
-
-
-def polynomial(c, t):
-    return sum(a * t**k for k, a in enumerate(c)), sum(k * a * t ** (k - 1) for k, a in enumerate(c) if k)
-
-
-def linear(t):
-    return 2.0 * t - 0.5
-
-
-def test_a_straight_line_is_read_exactly_and_a_curve_to_order_two():
-    errors = []
-    for n in (16, 32):
-        for signal in (linear, math.sin):
-            line = History(1.0 / n, 2.0, (signal(-2.0),))
-            for k in range(-2 * n, n + 1):
-                line = line.put((signal(k / n),))
-            errors.append(max(abs(line.at(d)[0] - signal(1.0 - d)) for d in np.linspace(0.3, 1.7, 301)))
-    assert errors[0] < 1e-14
-    assert errors[2] < 1e-14
-    assert math.log2(errors[1] / errors[3]) == pytest.approx(2.0, abs=0.15)
-
-
-def test_interpolation_between_two_steps_is_exact_for_cubics():
-    for degree, least, most in ((3, 0.0, 1e-13), (4, 1e-3, 1e-1)):
-        c = [0.3, -1.0, 0.7, 1.5, 2.0][: degree + 1]
-        x, dx = np.polynomial.Polynomial(c), np.polynomial.Polynomial(c).deriv()
-        results = [between(s, 0.5, x(1.0), x(1.5), dx(1.0), dx(1.5)) - x(1.0 + 0.5 * s) for s in np.linspace(0, 1, 21)]
-        assert least <= np.abs(results).max() <= most
-
-
-def test_a_constant_past_of_several_channels_reaches_the_longest_delay():
-    line = History(0.25, 1.0, (1.0, -2.0))
-    assert line.at(1.0) == (1.0, -2.0)
-    for k in range(1, 9):
-        line = line.put((float(k), 0.0))
-        assert line.at(0.0) == (float(k), 0.0)
-        assert line.at(1.0) == (max(k - 4.0, 1.0), -2.0 if k < 5 else 0.0)
-    assert line.at(0.125) == (7.5, 0.0)
+from softrig_core.kit.dde import delayed, integrator, trajectory
 
 
 def test_state_dependent_and_time_varying_delay_against_closed_form():
@@ -60,71 +21,6 @@ def test_state_dependent_and_time_varying_delay_against_closed_form():
         tau = 0.2 + 0.7 * (1.0 + math.sin(t))
         if t > 0.0:
             assert line.at(tau)[0] == pytest.approx(t - tau, abs=1e-12)
-
-
-def test_a_jump_stays_in_its_interval_with_linear_interpolation():
-    line = History(0.1, 1.0)
-    for _ in range(5):
-        line = line.put((1.0,))
-    values = [line.at(0.1 * k)[0] for k in range(9)]
-    assert values == [1.0] * 5 + [0.0] * 4
-    assert line.at(0.45)[0] == pytest.approx(0.5)
-
-
-def test_histories_that_share_rows_are_values():
-    """Continuing from an older one does not change the newer one, over many fillings."""
-    line = History(0.1, 1.0)
-    old, kept = line, []
-    for k in range(60):
-        line = line.put((float(k),))
-        kept.append((line, line.at(0.55), line.numbers().tolist()))
-    other = old.put((-1.0,))
-    assert other.at(0.0) == (-1.0,)
-    assert kept[10][0].put((99.0,)).at(0.1) == (10.0,)
-    assert all((h.at(0.55), h.numbers().tolist()) == (at, row) for h, at, row in kept)
-    assert kept[5][0].with_numbers(kept[5][0].numbers()) == kept[5][0] != kept[6][0]
-
-
-def test_tracks_that_share_rows_are_values():
-    advance = integrator(linear_rhs)
-
-    def step(track, x, k):
-        past, now = track.open(1), np.array([x])
-        advance(past, 0.1 * k, now, 0.1, 1, (1.0, 1.0))
-        return track.after(past), float(now[0])
-
-    track, x, ring, alone = Track(trajectory(0.1, 1.0, 1.0)), 1.0, trajectory(0.1, 1.0, 1.0), np.array([1.0])
-    kept = [(track, x)]
-    for k in range(60):
-        track, x = step(track, x, k)
-        kept.append((track, x))
-        advance(ring, 0.1 * k, alone, 0.1, 1, (1.0, 1.0))
-        assert x == alone[0]
-    for k in (3, 20, 40):
-        before = kept[k][0].numbers().tolist()
-        assert step(kept[k][0], 7.0, k)[1] != kept[k + 1][1]
-        assert kept[k][0].numbers().tolist() == before
-        assert step(*kept[k], k) == kept[k + 1]
-        assert kept[k][0].with_numbers(kept[k][0].numbers()) == kept[k][0] != kept[k + 1][0]
-
-
-@pytest.mark.parametrize(
-    ("make", "reason"),
-    [
-        (lambda: History(0.0, 1.0), "step = 0.0 s: expected a positive time"),
-        (lambda: History(math.nan, 1.0), "step = nan s"),
-        (lambda: History(0.1, -1.0), "longest delay = -1.0 s"),
-        (lambda: History(0.1, math.inf), "longest delay = inf s"),
-        (lambda: History(0.1, 1.0).at(1.1), "delay = 1.1 s: expected 0 to 1.0 s"),
-        (lambda: History(0.1, 1.0).at(-0.1), "expected 0 to 1.0 s"),
-        (lambda: History(0.1, 1.0).at(math.nan), "delay = nan s"),
-        (lambda: History(0.1, 1.0).put((1.0, 2.0)), "2 values, expected 1"),
-        (lambda: trajectory(0.0, 1.0, 0.0), "step = 0.0 s"),
-    ],
-)
-def test_bad_values_are_refused(make, reason):
-    with pytest.raises(ValueError, match=reason):
-        make()
 
 
 @jit

@@ -8,10 +8,8 @@ from hypothesis import given, strategies as st
 from softrig_bringup.run.run import gaps
 from softrig_core import BlockParams, ParameterError, ScenarioError, feed, rig_of
 from softrig_core.block.params import build
-from softrig_core.block.schedule import Schedule, rational
+from softrig_core.block.schedule import rational
 from softrig_nodes import run_processes
-
-periods = st.builds(Fraction, st.integers(1, 1000), st.integers(1, 100_000))
 
 
 @given(st.integers(1, 10**6), st.integers(1, 10**6))
@@ -21,53 +19,12 @@ def test_a_float_means_the_simplest_fraction_that_rounds_to_it(p, q):
     assert meant.denominator <= Fraction(p, q).denominator
 
 
-@pytest.mark.parametrize(
-    ("seconds", "meant"),
-    [(1 / 2880, "1/2880"), ("1/2880", "1/2880"), (0.00083, "83/100000"), (0.1 * 3, "3/10"), (5e-5, "1/20000")],
-)
-def test_periods_of_the_systems_are_exact(seconds, meant):
-    assert rational(seconds) == Fraction(meant)
-
-
 def test_a_period_may_be_written_as_a_fraction():
     assert build(BlockParams, {"period": "1/2880"}) == BlockParams(period=1 / 2880)
     with pytest.raises(ParameterError, match="period = '1/0'"):
         build(BlockParams, {"period": "1/0"})
     with pytest.raises(ParameterError, match="neither a number nor a fraction"):
         build(BlockParams, {"period": "a/b"})
-
-
-@given(periods, st.integers(0, 10**9))
-def test_a_stamp_names_its_tick(period, k):
-    schedule = Schedule(period)
-    t = schedule.time(k)
-    assert abs(t - k * period * 10**9) <= Fraction(1, 2)
-    assert schedule.tick(t) == k
-    assert schedule.due(t)
-    assert schedule.held(t) == t
-    assert schedule.next(t) == schedule.time(k + 1)
-    assert schedule.before(t) == schedule.time(k - 1)
-
-
-@given(periods, st.integers(2, 50), st.integers(0, 10**6))
-def test_slower_schedules_share_the_stamps_of_the_clock(period, every, k):
-    clock, slow = Schedule(period), Schedule(period * every, period)
-    t = clock.time(k)
-    assert slow.due(t) == (k % every == 0)
-    assert slow.held(t) == clock.time(k - k % every)
-
-
-@given(periods, st.integers(1, 7), st.floats(1e-3, 10.0), st.booleans())
-def test_the_duration_floors_to_the_last_tick(period, every, duration, at_end):
-    if rational(duration) < period:
-        with pytest.raises(ValueError, match="shorter than the period"):
-            Schedule(period * every, period, duration, at_end)
-        return
-    schedule = Schedule(period * every, period, duration, at_end)
-    assert schedule.end <= duration * 1e9 + 1.0 < Schedule(period).time(schedule.ticks + 1) + 2.0
-    assert schedule.last <= schedule.end if at_end else schedule.last < schedule.end
-    assert schedule.next(schedule.last) > schedule.end if at_end else schedule.next(schedule.last) >= schedule.end
-    assert schedule.time(schedule.count() - 1) == schedule.last
 
 
 def two_plants(period, second, duration, **options):

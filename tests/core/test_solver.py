@@ -57,24 +57,12 @@ def test_only_simulated_time_decides():
     assert asked_at(quick) == [-1.0] * 2 + [0.0] * 2 + [0.2] * 2 + [0.4]
 
 
-class Impatient(Planner):
-    CANCELS = True
-
-
 def drive(block, ticks, first=0):
     result = []
     for k in range(first, first + ticks):
         x = 0.01 * k
         result.append(block.update(round(k * 1e8), state=(x, 0.0), reference=(1.0,)))
     return result
-
-
-def test_a_request_may_kill_the_work_in_progress():
-    block = ByHand(Impatient(latency=0.2, work=0.0))
-    # a new request at every tick, so no plan is ever finished
-    assert [round(v["plan"][0], 9) for v in drive(block, 5)] == [-1.0] * 5
-    block.block.request = lambda x, t, **_: (x, None)  # no further requests, so the last one is completed
-    assert [round(v["plan"][0], 9) for v in drive(block, 3, 5)] == [-1.0, 0.4, 0.4]
 
 
 def test_reset_kills_the_work_and_repeats_the_run():
@@ -84,31 +72,6 @@ def test_reset_kills_the_work_and_repeats_the_run():
     block.reset(0)
     assert not os.path.exists(f"/proc/{pid}")
     assert drive(block, 4) == first
-
-
-@pytest.mark.long
-def test_going_back_repeats_the_work_of_that_time():
-    block = ByHand(Planner(latency=0.2))
-    drive(block, 1)
-    saved = block.save()  # the request of t = 0 is under way
-    first = drive(block, 6, 1)
-    job = block.block.worker.job
-    block.load(saved)
-    assert drive(block, 6, 1) == first
-    assert block.block.worker.job is not job
-    assert [round(v["plan"][0], 9) for v in first] == [-1.0, 0.0, 0.0, 0.2, 0.2, 0.4]
-
-
-@pytest.mark.long
-def test_a_time_limit_gives_the_best_so_far_and_reports_that_it_does_not_repeat():
-    block = ByHand(Planner(fault="hang", limit=1.0))
-    first, second, third = drive(block, 3)
-    assert first["plan"] == (0.0, 1.0)
-    assert second["plan"] == (0.1, 0.0)
-    assert second["inner"][0] == pytest.approx(1.0 + 0.25 * 0.99)
-    assert third["plan"] == pytest.approx((0.2, 1.0))
-    _, text, count = block.reports["limit"]
-    assert (text, count) == ("best answer so far after 1 s: this result does not repeat", 1)
 
 
 @pytest.mark.parametrize(
@@ -134,24 +97,6 @@ def test_failed_work_ends_a_run_and_is_reported_in_real_time(fault, reason):
     # the second work failed, the third plan comes from a new process
     assert [round(v["plan"][0], 9) for v in results] == [0.0, 0.0, 0.2, 0.3, 0.4]
     assert block.reports["work"][2] == 1
-
-
-def test_in_real_time_nothing_waits():
-    block = ByHand(Planner(work=0.5))
-    block.block.realtime = True
-    block.block.worker.warm()
-    result = drive(block, 5)  # answers without the plan, which takes longer than five ticks
-    assert [v["plan"][0] for v in result] == [-1.0] * 5
-    # at the tick of the request its result cannot be available
-    assert block.reports["unfinished"][1:] == ("the work was not done when its result was due: answered without it", 4)
-    assert block.block.worker.wait(PATIENCE)
-    assert drive(block, 1, 5)[0]["plan"] == (0.0, 1.0)
-    assert block.reports["unfinished"][2] == 4
-    assert block.x.jobs.active.stamp == 500_000_000, "the newest request is next, the four between are forgotten"
-    assert set(block.health()) >= {"work"}
-    while "plan" not in block.health():
-        block.block.worker.wait(0.01)
-    assert block.health()["plan"] == "6"
 
 
 def test_a_refused_request_starts_no_work():
@@ -212,14 +157,6 @@ def test_an_answer_that_cannot_be_read_is_a_failure():
     assert worker.state == "failed"
     assert worker.error.startswith("its answer cannot be read: ValueError: invalid literal for int()")
     worker.cancel()
-
-
-def test_a_function_that_no_other_process_can_import_is_refused():
-    def solve(request, work):
-        return request
-
-    with pytest.raises(ValueError, match="cannot be imported by another process"):
-        Worker(solve)
 
 
 def test_the_result_of_a_solver_is_checked():

@@ -1,7 +1,6 @@
 """Searches against known optima, published rules and other libraries; the optimiser node on a plant of its own."""
 
 import gc
-import itertools
 import math
 import operator
 import os
@@ -16,9 +15,7 @@ import pytest
 import softrig_optim.sweep as sweeping
 from conftest import PATIENCE, make_scenario, until
 from hypothesis import given, settings, strategies as st
-from scipy import stats
-from scipy.optimize import differential_evolution, minimize_scalar
-from softrig_core import ByHand, Level, Plant, RunError, ScenarioError, rig_of, run_inprocess
+from softrig_core import ByHand, Plant, RunError, ScenarioError, rig_of, run_inprocess
 from softrig_core.solver.worker import Worker, _Process
 from softrig_optim.algorithms import AlgorithmParams
 from softrig_optim.de import DifferentialEvolution
@@ -44,11 +41,6 @@ OPTIMUM = np.array([2.0, 3.1])
 
 def bowl(x):
     return float(((np.array(x) - OPTIMUM) ** 2).sum())
-
-
-def rastrigin(x):
-    z = np.array(x)
-    return float((z**2 - 10.0 * np.cos(2.0 * np.pi * z) + 10.0).sum())
 
 
 # the interface --------------------------------------------------------------------------------------------------
@@ -195,97 +187,6 @@ def test_firefly_evaluates_every_ordered_pair():
     assert search.evaluations == 76
 
 
-def test_salp_chain_follows_the_published_rules():
-    """Followers: (x + ahead)/2, in order, behind a leader that is on the bounds; the leader's step shrinks as
-    c_1 does.
-    """
-    search = SalpSwarm([0.1], [0.9], 2)
-    generations = []
-    while not search.done:
-        generations.append([x[0] for x in search.pending])
-        for _ in range(4):
-            search.tell(abs(search.ask()[0] - 0.5))
-    for before, after in itertools.pairwise(generations):
-        for i in range(1, 4):
-            assert after[i] == pytest.approx((before[i] + after[i - 1]) / 2.0, abs=1e-15)
-    food = min(search.history[:40], key=lambda e: e.value).x[0]
-    assert abs(generations[-1][0] - food) <= 3.2 * math.exp(-(3.5**2)) * 0.9 + 1e-15
-
-
-def test_improved_salp_follower():
-    """Equal positions stay; 0.1 behind 0.9 goes to 0.781, not to the weighted mean 0.70."""
-    search = ImprovedSalpSwarm([0.1], [0.9], 0)
-    assert search.follow(np.array([0.4]), np.array([0.4])) == pytest.approx(0.4)
-    assert search.follow(np.array([0.1]), np.array([0.9])) == pytest.approx(0.781, abs=5e-4)
-
-
-@pytest.mark.parametrize(("threshold", "down"), [(0.5, True), (0.0, False)])
-def test_misprinted_leader_only_goes_up(threshold, down):
-    moves = []
-    for seed in range(20):
-        search = ImprovedSalpSwarm([0.1], [0.9], seed, c3_threshold=threshold)
-        while not search.done:
-            if search.iteration and len(search.pending) == 4:
-                moves.append(search.ask()[0] - search.best.x[0])
-            search.tell(abs(search.ask()[0] - 0.5))
-    assert (min(moves) < 0.0) == down
-    assert max(moves) > 0.0
-
-
-@pytest.mark.long  # each candidate is that of the rule daily, see test_rules.py
-@pytest.mark.parametrize("variant", ["rand1", "best1"])
-def test_differential_evolution_against_scipy(variant):
-    """Same distribution of the best value as scipy's from the same start, over 100 seeds each (Kolmogorov-Smirnov).
-
-    The box is wide: scipy draws anew what leaves it, here it is clipped.
-    """
-    box, n_pop, n_iter = ([-100.0] * 2, [100.0] * 2), 12, 12
-
-    class Started(DifferentialEvolution):
-        def spread(self):
-            return np.random.default_rng([7, seed]).uniform((-2.0, -3.0), (4.0, 2.0), (n_pop, 2))
-
-    own, scipy_result = [], []
-    for seed in range(100):
-        search = Started(*box, seed, n_pop=n_pop, n_iter=n_iter, variant=variant, cr=0.7)
-        own.append(run(search, rastrigin).value)
-        result = differential_evolution(
-            rastrigin,
-            list(zip(*box, strict=True)),
-            strategy=f"{variant}bin",
-            maxiter=n_iter,
-            init=search.spread(),
-            mutation=(0.2, 0.8),
-            recombination=0.7,
-            tol=0.0,
-            atol=0.0,
-            polish=False,
-            rng=seed,
-            updating="immediate",
-        )
-        scipy_result.append(result.fun)
-        assert result.nfev == search.evaluations
-    assert stats.ks_2samp(own, scipy_result).pvalue > 0.1
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 3.0), (0.3, 1.7)])
-def test_a_scan_refines_as_scipy_does(low, high):
-    """Grid of 20, then exactly the evaluations of scipy's bounded Brent search in the two cells beside the best."""
-
-    def f(x):
-        return math.cos(3.0 * x) + 0.3 * x
-
-    search = Scan([low], [high], n_grid=20, tolerance=1e-4)
-    best = run(search, lambda x: f(x[0]))
-    grid = np.linspace(low, high, 20)
-    k = int(np.argmin([f(x) for x in grid]))
-    cells = (grid[max(k - 1, 0)], grid[min(k + 1, 19)])
-    scipy_result = minimize_scalar(f, bounds=cells, method="bounded", options={"xatol": 1e-4})
-    assert best.x[0] == pytest.approx(scipy_result.x, abs=1e-14)
-    assert search.evaluations == 20 + scipy_result.nfev
-    assert run(Scan([low], [high], n_grid=3, tolerance=0.0), lambda x: f(x[0])).x[0] in (low, 0.5 * (low + high), high)
-
-
 def test_perturb_observe_climbs_and_turns():
     search = PerturbObserve([0.0], [1.0], step=0.1, initial=0.25, maximise=True)
     for _ in range(12):
@@ -297,20 +198,6 @@ def test_perturb_observe_climbs_and_turns():
     for _ in range(6):
         edge.tell(edge.ask()[0])
     assert [round(e.x[0], 6) for e in edge.history] == [0.0, 0.1, 0.2, 0.1, 0.2, 0.1]
-
-
-def test_genetic_defaults_are_those_of_its_page():
-    """BLX-0.5 (Eshelman and Schaffer); 20 candidates, each gene mutated with 0.1 by 0.1 of its range, one survives."""
-    search = Genetic(LOWER, UPPER)
-    result = search.blend, search.mutation, search.step, search.elite, search.n_pop, search.n_iter
-    assert result == (0.5, 0.1, 0.1, 1, 20, 10)
-    reported = Genetic(LOWER, UPPER, 3, blend=0.5, mutation=0.1, step=0.1, elite=1, n_pop=20, n_iter=10)
-    again = Genetic(LOWER, UPPER, 3)
-    run(reported, bowl)
-    run(again, bowl)
-    assert again.history == reported.history
-    run(other := Genetic(LOWER, UPPER, 3, blend=0.4), bowl)
-    assert other.history != reported.history
 
 
 def test_genetic_generations_in_parallel():
@@ -343,16 +230,6 @@ def operate(v, i, load, d):
     k = int(np.flatnonzero(v - R * i >= 0.0)[0])
     share = (R * i[k - 1] - v[k - 1]) / ((v[k] - v[k - 1]) - R * (i[k] - i[k - 1]))
     return v[k - 1] + share * (v[k] - v[k - 1]), i[k - 1] + share * (i[k] - i[k - 1])
-
-
-@pytest.mark.parametrize("maximise", [False, True])
-def test_of_equal_candidates_the_first_is_best(maximise):
-    search = DifferentialEvolution(LOWER, UPPER, 1, n_pop=5, n_iter=2, maximise=maximise)
-    first = search.ask()
-    for _ in range(3):
-        search.tell(7.0)
-    assert (search.best.x, search.best.value) == (first, 7.0)
-    assert search.ask() != first
 
 
 @given(
@@ -493,149 +370,6 @@ def test_optimiser_is_reproducible_by_seed():
     assert first.commands == again.commands != other.commands
 
 
-def test_restart_when_the_objective_changes():
-    loop = Loop()
-    loop.run(0.01 + 192 * 0.3 + 2.0)
-    loop.dish.block.target = (-0.3, 0.3)
-    before = loop.t
-    while loop.state["phase"] == Phase.HOLD:
-        loop.run(0.01)
-    assert (loop.t - before) * 1e-9 <= 3 * 0.3 + 0.02
-    assert loop.run(192 * 0.3 + 1.5)["restarts"] == 1
-    assert loop.state["phase"] == Phase.HOLD
-    assert loop.dish.block.power(loop.dish.x) > 9.9
-
-
-def test_small_changes_and_single_dips_do_not_restart():
-    loop = Loop()
-    loop.run(0.01 + 192 * 0.3 + 2.0)
-    held = loop.dish.block.power(loop.dish.x)
-    loop.run(3.0, objective=0.96 * held)
-    loop.run(0.3, objective=0.5 * held)
-    loop.run(1.0, objective=held)
-    assert loop.state["restarts"] == 0
-    loop.run(0.9, objective=0.94 * held)
-    assert loop.state["restarts"] == 1
-
-
-def test_a_change_during_the_search_is_found_once_at_its_end():
-    """The result of the search no longer holds: one new search, and none after that although nothing fits."""
-    loop = Loop()
-    loop.run(0.01 + 192 * 0.3, objective=None)
-    assert loop.state["phase"] == Phase.HOLD
-    loop.run(0.7, objective=5.0)
-    assert loop.state["restarts"] == 1
-    loop.run(0.01 + 192 * 0.3)
-    loop.run(5.0, objective=5.0)
-    assert loop.state["restarts"] == 1
-    assert loop.state["phase"] == Phase.HOLD
-
-
-def test_rescan_by_timer():
-    loop = Loop(rescan_period=100.0)
-    loop.run(99.9)
-    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, 0)
-    loop.run(0.5)
-    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, 1)
-
-
-def test_buttons_act_when_pressed():
-    """Start from stopped, stop holds the best so far, restart begins again."""
-    loop = Loop(autostart=False)
-    loop.run(1.0)
-    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.STOPPED, 0)
-    assert set(loop.commands) == {(-1.0, -1.0)}
-    loop.run(3.1, start=(1.0,))
-    assert (loop.state["phase"], loop.state["evaluations"], loop.state["restarts"]) == (Phase.SEARCH, 10, 0)
-    loop.run(1.0, start=(0.0,))
-    loop.run(1.0, start=(1.0,))  # already searching: nothing
-    assert loop.state["evaluations"] == 16
-    loop.run(2.0, stop=(1.0,))
-    assert loop.state["phase"] == Phase.STOPPED
-    assert loop.commands[-1] == (loop.state["azimuth"], loop.state["elevation"])
-    evaluations = loop.state["evaluations"]
-    loop.run(1.0, stop=(0.0,))
-    assert loop.state["evaluations"] == evaluations
-    loop.run(0.5, restart=(1.0,))
-    assert (loop.state["phase"], loop.state["evaluations"], loop.state["restarts"]) == (Phase.SEARCH, 1, 1)
-
-
-@pytest.mark.parametrize("bad", [{"objective": math.nan}, {"refuse": True}])
-def test_a_bad_measurement_is_repeated(bad):
-    """NaN, or a message that the node rejected: the candidate stays for another whole dwell, and is never stored."""
-    loop = Loop()
-    loop.run(0.25)
-    first = loop.commands[-1]
-    loop.run(0.1, **bad)
-    assert ("objective" in loop.optimiser.reports) == ("objective" in bad)
-    loop.run(0.29)
-    assert loop.state["evaluations"] == 0
-    assert set(loop.commands) == {first}
-    loop.run(0.02)
-    assert loop.state["evaluations"] == 1
-    assert math.isfinite(loop.state["best_value"])
-
-
-def test_a_rejected_first_measurement_waits():
-    """Without any measurement the first candidate is applied, and waits."""
-    loop = Loop()
-    loop.run(1.0, refuse=True)
-    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.SEARCH, 0)
-    assert len(set(loop.commands)) == 1
-
-
-@pytest.mark.parametrize("bad", [{"objective": math.nan}, {"refuse": True}])
-def test_bad_measurements_in_hold_do_not_hide_a_change(bad):
-    """Late in a hold, one bad sample in each dwell: a change is still detected by two samples a dwell apart."""
-    loop = Loop()
-    loop.run(0.01 + 192 * 0.3 + 20.0)
-    held = loop.dish.block.power(loop.dish.x)
-    loop.run(1.0, **bad)
-    loop.run(0.29, objective=0.5 * held)  # a single measurement
-    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, 0)
-    loop.run(0.01, **bad)
-    loop.run(0.02, objective=0.5 * held)
-    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, 1)
-
-
-def test_bad_measurements_do_not_delay_the_rescan():
-    loop = Loop(rescan_period=100.0)
-    loop.run(90.0)
-    for _ in range(55):
-        loop.run(0.19)
-        loop.run(0.01, objective=math.nan)
-    assert loop.state["restarts"] == 1
-
-
-def test_without_a_signal_there_is_no_claim():
-    """Below the floor a search continues forever; in hold it waits, and searches when the signal is back."""
-    loop = Loop(floor=0.01, n_pop=2, n_iter=1)
-    loop.run(20.0, objective=0.0)
-    assert loop.state["phase"] == Phase.SEARCH
-    assert loop.optimiser.reports["no signal"][0] is Level.WARN
-    while loop.state["phase"] != Phase.HOLD:
-        loop.run(0.01, objective=3.0)
-    restarts, command = loop.state["restarts"], loop.commands[-1]
-    loop.run(1.0, objective=3.0)
-    loop.run(5.0, objective=0.0)
-    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, restarts)
-    assert loop.commands[-1] == command
-    loop.run(0.35, objective=3.0)
-    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, restarts + 1)
-
-
-def test_the_slew_rate_is_limited():
-    """The command moves at most 0.5 rad/s, and the dwell begins when it has arrived."""
-    loop = Loop(max_slew=0.5)
-    loop.run(60.0)
-    steps = np.abs(np.diff(np.array(loop.commands), axis=0))
-    assert steps.max() <= 0.005 + 1e-15
-    assert loop.state["evaluations"] < 60.0 / 0.3 - 10
-    still = np.flatnonzero(np.all(steps == 0.0, axis=1))
-    runs = np.split(still, np.flatnonzero(np.diff(still) != 1) + 1)
-    assert {len(r) for r in runs[:-1]} == {29}  # the tick of arrival and 29 more
-
-
 class Source(Optimiser):
     """A source with a voltage and a current, on a falling characteristic."""
 
@@ -693,25 +427,6 @@ def test_workers_are_reused_between_batches_and_end_with_the_block():
     assert set.union(*pids) <= started
     assert len(started) <= 2
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in started))
-
-
-def test_short_cases_are_sent_together_and_long_ones_one_by_one(monkeypatch):
-    chunks = []
-    submit = Workers._submit
-    monkeypatch.setattr(
-        Workers, "_submit", lambda self, function, chunk: (chunks.append(len(chunk)), submit(self, function, chunk))[1]
-    )
-    with Workers(2) as workers:
-        assert workers.map(abs, range(-3000, 0)) == list(range(3000, 0, -1))
-        assert chunks[:2] == [1, 1]
-        assert len(chunks) < 100
-        chunks.clear()
-        assert workers.map(abs, range(4)) == [0, 1, 2, 3]
-        assert chunks == [2, 2]  # with few runs, each worker has its share
-        workers._mean = 10.0
-        chunks.clear()
-        workers.map(abs, range(4))
-        assert chunks == [1, 1, 1, 1]
 
 
 def test_a_sweep_passes_on_the_failure():
