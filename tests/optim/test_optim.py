@@ -232,6 +232,16 @@ def operate(v, i, load, d):
     return v[k - 1] + share * (v[k] - v[k - 1]), i[k - 1] + share * (i[k] - i[k - 1])
 
 
+@pytest.mark.parametrize("maximise", [False, True])
+def test_of_equal_candidates_the_first_is_best(maximise):
+    search = DifferentialEvolution(LOWER, UPPER, 1, n_pop=5, n_iter=2, maximise=maximise)
+    first = search.ask()
+    for _ in range(3):
+        search.tell(7.0)
+    assert (search.best.x, search.best.value) == (first, 7.0)
+    assert search.ask() != first
+
+
 @given(
     st.lists(st.floats(0.05, 1.0), min_size=3, max_size=8),
     st.lists(st.floats(0.0, 1.0), min_size=8, max_size=8),
