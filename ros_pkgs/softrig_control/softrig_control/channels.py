@@ -56,7 +56,7 @@ def port_of(
     entries : (str, str)
         For errors: where topics of Vector3Stamped are named, and what a channel belongs to.
     safe : callable, optional
-        Gives the safe value of a cell.
+        Returns the safe value of a cell.
 
     Raises
     ------

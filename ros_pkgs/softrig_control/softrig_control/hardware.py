@@ -13,8 +13,8 @@ def hardware_tag(
 ) -> list[str]:
     """Write the tag by which ros2_control drives a plant as hardware, over topics (topic_based_ros2_control).
 
-    A threshold below 0 has every command sent, not only those that differ from the state: a plant takes silence for a
-    law that has stopped.
+    With a threshold below 0 every command is sent, not only those that differ from the state, because a plant treats
+    silence as a stopped controller.
 
     Parameters
     ----------

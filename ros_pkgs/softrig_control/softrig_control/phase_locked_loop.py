@@ -34,7 +34,7 @@ class PhaseLockedLoop:
         z_k = u_k e^{-j\theta_k}, \quad e_k = \arg z_k, \quad
         \omega_k = \omega_0 + K_p e_k + K_i T \sum_{i \le k} e_i, \quad \theta_{k+1} = \theta_k + T \omega_k
 
-    Below the magnitude `least` the phase of u means nothing: the frequency stays. The integral is kept in rad/s, so
+    Below the magnitude `least` the phase of u is meaningless, so the frequency stays. The integral is kept in rad/s, so
     the frequency does not jump when Ki changes.
 
     Parameters

@@ -46,10 +46,10 @@ class Pid:
 
     Notes
     -----
-    `go_on` is bumpless, u is the same for the same error: I is kept in units of u, so another Ki acts on what comes;
-    another Kp moves the difference (Kp_old - Kp_new) e into I, as Astrom and Hagglund have it [1]_; the derivative's
-    memory d stays and another Kd or N acts on the next change of e. Without integral action (Ki = 0) nothing would
-    ever take that difference away again, so I stays and u jumps with Kp.
+    `go_on` is bumpless, u is the same for the same error: I is stored in units of u, so another Ki acts only on later
+    errors. Another Kp moves the difference (Kp_old - Kp_new) e into I, as Astrom and Hagglund propose [1]_. The
+    derivative's state d stays, and another Kd or N acts on the next change of e. Without integral action (Ki = 0) that
+    difference would remain forever, so I stays and u jumps with Kp.
 
     References
     ----------

@@ -22,8 +22,8 @@ RESIDUAL = 1e-7
 def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
     r"""Solution of the discrete Riccati equation :math:`X = A^T X (1 + G X)^{-1} A + H`, None if none is found.
 
-    By doubling: each step makes as many of the recursion's as all before it, with the same bits on every CPU. What it
-    ends at is put into the equation; a matrix that does not solve it is not returned.
+    It uses doubling: each step equals as many steps of the recursion as all before it, with the same bits on every CPU.
+    The result is inserted into the equation, and a matrix that does not solve it is not returned.
 
     .. math::
         A \leftarrow A W A, \quad G \leftarrow G + A W G A^T, \quad H \leftarrow H + A^T H W A, \quad W = (1 + G H)^{-1}
@@ -82,7 +82,8 @@ def lqr(a: ArrayLike, b: ArrayLike, q: ArrayLike, r: ArrayLike) -> Matrix:
     Raises
     ------
     ValueError
-        Sizes that do not fit, or no such law: a state that grows and is not reached or not weighed.
+        Sizes that do not fit, or there is no such controller, because a growing state is not controllable or has no
+        weight.
     """
     A, B = np.array(a, dtype=float), np.array(b, dtype=float)
     Q, R = (np.diag(x) if x.ndim == 1 else x for x in (np.array(q, dtype=float), np.array(r, dtype=float)))

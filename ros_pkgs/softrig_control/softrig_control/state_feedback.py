@@ -29,7 +29,7 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
     """Compute gains that place the poles of the loop x' = A x + B u, y = C x, xi' = r - y.
 
     Ackermann's formula on the augmented plant [[A, 0], [-C, 0]], [B; 0]. The characteristic polynomial of the loop is
-    held against the wanted one, in integers.
+    compared with the wanted one in integer arithmetic.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ class StateFeedback:
     def go_on(self, xi: float, before: StateFeedback, x: Sequence[float], r: float = 0.0) -> float:
         """Return the integral that follows a law with other gains without a bump: the command at x and r stays.
 
-        The integral takes the difference up; without one the command jumps with the gains.
+        The integral absorbs the difference; without an integral the command jumps with the gains.
         """
         if self._ki and (self._ki, self._k) != (before._ki, before._k):
             return (before._unlimited(xi, r, x) - (self._unlimited(xi, r, x) - self._ki * xi)) / self._ki

@@ -148,8 +148,8 @@ def off(values: Sequence[float], wanted: Sequence[float]) -> float:
 def sample_transfer_function(num: Sequence[float], den: Sequence[float], period: float) -> Sampled:
     """Sample a strictly proper transfer function num(s)/den(s) with u held over each period.
 
-    In controllable form: each state is the derivative of the next. What is returned has been held against the response
-    of the same system without rounding.
+    In controllable form: each state is the derivative of the next. The result has been compared with the response of
+    the same system without rounding.
 
     Parameters
     ----------
@@ -161,8 +161,8 @@ def sample_transfer_function(num: Sequence[float], den: Sequence[float], period:
     Raises
     ------
     ValueError
-        `den` is empty or begins with zero; `num` is not of lower degree: u(t) would act on y(t) at once; a number is
-        not finite; the step response is off by more than 1e-9, or beyond the range of float64.
+        `den` is empty or begins with zero; `num` is not of lower degree, so that u(t) would act on y(t) directly; a
+        number is not finite; the step response is off by more than 1e-9, or beyond the range of float64.
     """
     return sampled_exactly(tuple(num), tuple(den), period)[0]
 

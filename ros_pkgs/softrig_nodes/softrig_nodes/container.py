@@ -2,7 +2,7 @@
 
     ros2 run softrig_nodes container PACKAGE EXECUTABLE [--ros-args ...] -- PACKAGE EXECUTABLE [--ros-args ...] ...
 
-Each group between two ``--`` is what `ros2 run` would get. The adapters are those of the node processes.
+Each group between two ``--`` has the arguments of a `ros2 run`. The adapters are those of the node processes.
 """
 
 from __future__ import annotations

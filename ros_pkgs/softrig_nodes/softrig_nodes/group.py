@@ -1,7 +1,7 @@
 """The nodes of one process: they pass numbers to each other, and in lockstep one runner runs their ticks.
 
-While no other process and no person takes part, native code runs those ticks where it can. Their recording is then
-written many ticks at a time.
+While no other process and no person takes part, native code runs those ticks where it can. The recording is then
+written in batches of many ticks.
 """
 
 from __future__ import annotations

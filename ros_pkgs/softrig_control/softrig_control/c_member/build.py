@@ -104,7 +104,7 @@ def compiler(name: str = "cc") -> str:
 def compiled(sources: Sequence[Path], flags: Sequence[str]) -> Path:
     """Compile a user's sources to a shared library, unless the cache has it.
 
-    Numbers are those of the source: no contraction into fused multiply-adds.
+    The compiler must not contract operations into fused multiply-adds, so the numbers are those of the source.
 
     Parameters
     ----------
@@ -139,7 +139,8 @@ def built(library: Path, header: Path, prefix: str, plant: bool, flags: Sequence
     Raises
     ------
     ValueError
-        The library is none of this machine, lacks a function, or the header lacks or holds what a member cannot have.
+        The library is not for this machine or lacks a function, or the header lacks a struct or has one that is not
+        supported.
     """
     stamp = tuple((p, p.stat().st_mtime_ns, p.stat().st_size) for p in (library, header))
     return _built(stamp, prefix, plant, tuple(flags))

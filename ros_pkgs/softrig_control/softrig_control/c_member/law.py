@@ -113,7 +113,7 @@ class Here:
     first : tuple of float
         The numbers of its state.
     status : float
-        What NODE_init answered.
+        Return value of NODE_init.
     """
 
     def __init__(self, built: Built, params: Row) -> None:

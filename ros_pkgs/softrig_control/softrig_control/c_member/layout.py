@@ -69,7 +69,7 @@ def structs(compiled: Path, prefix: str) -> dict[str, Struct]:
     Raises
     ------
     LayoutError
-        A struct holds what is no number, or too many of them; names the member.
+        A struct has a member that is not a number, or too many numbers; the message names the member.
     """
     names = {prefix: "state", f"{prefix}_in": "in", f"{prefix}_out": "out", f"{prefix}_params": "params"}
     results: dict[str, DIE] = {}

@@ -329,7 +329,8 @@ def _value(value: Any, i: int) -> float:
 class CController(_C, Block[CParams]):
     """A control law in C: `NODE_step` answers each tick, and the struct NODE is its state.
 
-    A status other than 0 leaves the state as it was and publishes what the function has put into NODE_out.
+    After a status other than 0 the state is unchanged, and the values that the function has written into NODE_out are
+    published.
     """
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Row]]:

@@ -130,7 +130,7 @@ def table(
     Raises
     ------
     ValueError
-        An entry cannot be read or names what is not there, or a member of the struct has no entry.
+        An entry cannot be read or names something that does not exist, or a member of the struct has no entry.
     """
     names = {leaf.access: k for k, leaf in enumerate(leaves)}
     topics: dict[str, dict[tuple[str, str], tuple[str, str]]] = {}
@@ -190,7 +190,8 @@ def values_of(
     Raises
     ------
     ValueError
-        An entry cannot be read, names what is not there, or its value is none of its range or type; or one is missing.
+        An entry is missing, cannot be read, or names something that does not exist, or its value is outside its range
+        or type.
     """
     names, result = {leaf.access: leaf for leaf in leaves}, dict[str, float]()
     for entry in entries:

@@ -29,8 +29,9 @@ class Trial(NamedTuple):
 def tried(built: Built, methods: Sequence[str], params: Row, seconds: float) -> Trial:
     """Find out whether a library crashes or hangs at its begin, and whether it keeps state outside of its struct.
 
-    Variables that a tick may write are read off the file. What no file shows (memory that it allocates, random numbers
-    of the C library) is found by the same ticks from the same struct, again and in another order.
+    Variables that a tick may write are found in the library file. State that the file does not show (allocated memory,
+    random numbers of the C library) is detected by repeating the same ticks from the same struct, also in another
+    order.
     """
     return _tried(_Key(built), tuple(methods), params, seconds)
 

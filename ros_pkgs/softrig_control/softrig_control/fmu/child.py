@@ -33,7 +33,7 @@ class Isolated:
     seconds : float
         Wall-clock time after which a call is aborted and the process killed.
     confined : bool
-        Whether it loses the network and everything that it may write, where the system allows that.
+        Whether it loses access to the network and all rights to write, if the system allows that.
 
     Raises
     ------

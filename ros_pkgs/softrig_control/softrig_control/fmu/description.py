@@ -128,7 +128,7 @@ class Variable:
         Raises
         ------
         ValueError
-            One is none of its type, or there are neither one nor as many as elements.
+            A value has the wrong type, or their number is neither one nor the number of elements.
         """
         values: list[Any] = [number_in("start", self.kind, text) for text in (self.start or "0").split()]
         if len(values) not in (1, self.count):
@@ -142,7 +142,7 @@ def number_in(name: str, kind: str, text: str) -> float | int | bool:
     Raises
     ------
     ValueError
-        The text is none of the kind; the message begins with the name.
+        The text is not of this kind; the message begins with the name.
     """
     if kind == "Boolean":
         if text not in ("true", "false", "1", "0"):
@@ -164,13 +164,13 @@ class Description:
     version : str
         Of the FMI: ``2.0``, ``3.0``.
     interfaces : tuple of str
-        Which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
+        Those of ``co_simulation``, ``model_exchange`` and ``scheduled_execution`` that it has.
     serialises : bool
         Whether its state can be kept as bytes.
     digest : str
         SHA-256 of its file.
     notes : tuple of str
-        What its description has that has no effect.
+        Parts of its description that have no effect.
     """
 
     path: Path
@@ -333,7 +333,7 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], attributes_of: Mappi
     Raises
     ------
     ValueError
-        A number of it is none, or it has another number of start values than of elements.
+        A number cannot be read, or the numbers of start values and elements differ.
     """
     unit = _declared(v, "unit", attributes_of)
     known = None if not unit else units.get(unit) or Unit.of(_plain_unit(unit))
@@ -400,7 +400,7 @@ def _unit(value: Any, file: str) -> Unit:
     Raises
     ------
     ValueError
-        A number of it is none, or the factor is not above zero.
+        A number cannot be read, or the factor is not above zero.
     """
     name, defined = _plain_unit(value.name), value.baseUnit
     if defined is None:

@@ -58,7 +58,7 @@ def mapped(
     Parameters
     ----------
     entries : sequence of str
-        ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
+        ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit, the unit of the variable applies.
     outward : bool
         Whether these are outputs.
     trajectories : sequence of str
@@ -69,7 +69,8 @@ def mapped(
     Raises
     ------
     ValueError
-        An entry cannot be read, names a variable that is not there, another quantity or the same place as another.
+        An entry cannot be read, names an unknown variable or one of another quantity, or fills a value that another
+        entry fills.
     """
     frames = frames or {}
     topics: dict[str, dict[tuple[str, str], tuple[str, Variable, tuple[float, float]]]] = {}
@@ -138,7 +139,7 @@ def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Varia
     Raises
     ------
     ValueError
-        There is no such variable, it cannot be set, or the value is none of its type or bounds.
+        There is no such variable, it cannot be set, or the value is outside its type or bounds.
     """
     results: dict[str, tuple[Variable, float | int | bool | str]] = {}
     for entry in entries:

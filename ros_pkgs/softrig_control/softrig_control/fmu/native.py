@@ -60,7 +60,7 @@ def export_native(rig: Rig, node: str, folder: Path, start: Mapping[str, Sequenc
     folder : Path
         The file ``NODE.fmu`` goes here.
     start : mapping of str to sequence of float
-        What inputs are first, by port.
+        First values of inputs, by port.
     version : int
         2 or 3, of the FMI.
 

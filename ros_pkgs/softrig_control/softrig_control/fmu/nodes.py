@@ -119,7 +119,7 @@ def calls_before(call: Call | None) -> Iterator[Call]:
 class State(NamedTuple):
     """Periods since the start; outputs, in the FMU's units; of an FMU that cannot write its state, all its calls.
 
-    The rest is in the FMU, which is opaque: `save` and `load`.
+    The remaining state is in the FMU, which is opaque; see `save` and `load`.
     """
 
     k: int
@@ -286,8 +286,8 @@ class _Fmu(Block[FmuParams]):
 class FmuPlant(_Fmu, Plant[FmuParams]):
     """An FMU as a plant: outputs at t_k, then one period with the inputs of t_k held.
 
-    Outputs that depend on the inputs at once show those of the period before. Its time is that of its own steps, from
-    0 on, in every mode.
+    Outputs that depend directly on inputs show the inputs of the previous period. In every mode its time counts its own
+    steps from 0.
     """
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:

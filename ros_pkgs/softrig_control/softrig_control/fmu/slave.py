@@ -217,8 +217,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         Raises
         ------
         ValueError
-            The step or an input is refused, or the block raises. PythonFMU makes fmi2Fatal of it, which tools report;
-            of a step that returns False it makes fmi2Discard, over which some go on with rows of zeros.
+            The step or an input is refused, or the block raises an error. PythonFMU turns it into fmi2Fatal, which
+            tools report. It would turn a step that returns False into fmi2Discard, after which some tools continue with
+            rows of zeros.
         """
         try:
             self._do(current_time, step_size)

@@ -47,12 +47,12 @@ BLOCK = 64
 class Line:
     """Messages in transit, a value: each with its arrival and its stamp, ns, sorted by these.
 
-    They are kept in blocks, so that a tick copies few.
+    They are stored in blocks, so that a tick copies only a few.
 
     Parameters
     ----------
     size : int
-        Numbers in a message; 0: messages are no rows of numbers, and native code cannot take them.
+        Numbers in a message; 0: messages are not rows of numbers, which native code does not support.
     blocks : tuple of tuple of (int, int, object), optional
         Arrival, stamp and message of each, sorted; no block is empty.
     """
@@ -211,14 +211,14 @@ class State(NamedTuple):
 class FieldbusDelay(Block[FieldbusDelayParams]):
     """A link that answers every tick with the newest message that has arrived, under its acquisition stamp.
 
-    A message sent at t arrives at t + d, d = ceil(delay / period) + a random whole number of periods up to the
-    jitter; a message overtaken by a newer one is dropped. Nothing arrived yet: the initial values, under the stamp
-    of the first message sent. The random numbers depend on the rig's seed and the node's name only.
+    A message sent at t arrives at t + d, d = ceil(delay / period) + a random whole number of periods up to the jitter;
+    a message overtaken by a newer one is dropped. Before the first arrival it publishes the initial values with the
+    stamp of the first message sent. The random numbers depend on the rig's seed and the node's name only.
 
     Notes
     -----
-    A port that reads the link must be declared `delayed`, unless `restamp` is set. On a command link give the
-    `initial` values: without them the first command takes effect at once and holds until the second arrives.
+    A port that reads the link must be declared `delayed`, unless `restamp` is set. On a command link set the `initial`
+    values: without them the first command takes effect immediately and holds until the second arrives.
     """
 
     @classmethod

@@ -31,7 +31,8 @@ class ForwardCommandParams(BlockParams):
 class ForwardCommand(Block[ForwardCommandParams]):
     """Forwards a std_msgs/Float64MultiArray to the actuators at every tick, unchanged.
 
-    The array needs no layout. One of another length, with NaN or beyond the limits is refused, the one before it holds.
+    The array needs no layout. An array of another length, with NaN or beyond the limits is rejected, and the previous
+    one is held.
     """
 
     @classmethod

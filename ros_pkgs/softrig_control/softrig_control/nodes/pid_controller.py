@@ -99,10 +99,10 @@ class PidController(Block[PidControllerParams]):
         I  += T Ki (r - y)                                     or nothing at a limit (conditional)
         I  += T/Tt (u - (P + I + d + bias))                    back calculation, beside that
 
-    The series form has the gains of the parallel one by Kp (1 + Td/Ti), Kp/Ti, Kp Td. Other gains act without a bump:
-    with integral action another Kp, b or bias moves what it changes into I. By hand I follows, so that the law goes on
-    from the command that is there. The first sample gives no derivative. With `parallel`, `error`, `conditional`, b = 1
-    this is `softrig_control.pid.Pid`, its output clipped.
+    The series form has the gains of the parallel one by Kp (1 + Td/Ti), Kp/Ti, Kp Td. A change of gains is bumpless:
+    with integral action, the change of the command by another Kp, b or bias is moved into I. In manual mode I follows
+    the command, so that the controller continues from it. The first sample has no derivative. With `parallel`, `error`,
+    `conditional`, b = 1 this is `softrig_control.pid.Pid`, its output clipped.
 
     A refused measurement holds the integral; the command is that of the newest state.
 

@@ -84,7 +84,7 @@ def find(name: str) -> Callable[[Sequence[float], int, int], Act]:
 def copied(act: Act) -> Act:
     """Copy a policy with its memory, in an object or in the variables around a function.
 
-    One that cannot be copied is given as it is: it is taken to remember nothing.
+    A policy that cannot be copied is returned itself; it is assumed to have no state.
     """
     if not isinstance(act, FunctionType) or not act.__closure__:
         try:

@@ -17,7 +17,7 @@ FIELDS = {"positions": ("position", ""), "velocities": ("velocity", "/s"), "acce
 class ReferenceSourceParams(ProfileParams):
     """Parameters of a reference source: axes, and their positions, velocities and accelerations from each time on.
 
-    A field is sent when values are given for it: all axes at the first time, then all axes at the next, and so on.
+    A field is sent if it has values: all axes at the first time, then all axes at the next, and so on.
     """
 
     unit: str = param("rad", "unit of a position; velocities and accelerations are in this unit per s and s^2")

@@ -84,7 +84,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
     """Publishes bounds on the margin of a requirement at each tick, valid for any continuation of the run.
 
     The upper bound decreases during the run: once it is below zero the requirement is finally violated. `decided` is 1
-    once nothing that comes can change it. Signals are held; what has not come yet compares as false.
+    once no later message can change it. Signals are held; comparisons with a signal that has not arrived yet are false.
     """
 
     @classmethod

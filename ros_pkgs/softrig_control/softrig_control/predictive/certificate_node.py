@@ -49,9 +49,9 @@ class CertificateNode(Block[CertificateParams]):
     """Answers at its first tick and at each press of its button: K, Qbar, the closed loop's moduli and the verdict.
 
     ``certificate/verdict``: valid (1 or 0), largest modulus of the closed loop, smallest eigenvalue of Qbar, residual
-    of the corrected (32), smallest eigenvalue of its left side less Q + K'RK. A certificate that is none is reported as
-    a warning. It is one of the transfer function and sampling time in its own parameters, without bounds: nothing else
-    of a rig is held against it, and /diagnostics name them.
+    of the corrected (32), smallest eigenvalue of its left side less Q + K'RK. An invalid certificate is reported as a
+    warning. It applies to the transfer function and sampling time in the node's own parameters, without bounds. It is
+    not compared with the rest of the rig; /diagnostics name these parameters.
     """
 
     STATE = State

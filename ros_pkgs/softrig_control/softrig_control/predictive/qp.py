@@ -5,7 +5,7 @@
     min 1/2 U' H U + q' U
     s.t. low <= U_1 + ... + U_i <= high,  |U_i| <= most      for every move i
 
-`low` and `high` are what the bounds of the command leave from the one that acts now.
+`low` and `high` are the distances of the present command from its bounds.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class MoveSolver:
     def solve(self, q: Sequence[float], low: float, high: float) -> Answer:
         """Solve for a linear term and the bounds of the accumulated moves; never raises.
 
-        From scratch: with two moves a warm start saves nothing, and the answer has no memory.
+        Each call solves from the beginning: with two moves a warm start saves no time, and the result has no memory.
         """
         self._q[:] = q
         self._lower[self._n :] = low

@@ -31,7 +31,7 @@ class Account:
     Attributes
     ----------
     watches : int
-        How often `watch` has looked.
+        Number of calls of `watch`.
     """
 
     def __init__(self, node: Adapter) -> None:

@@ -4,8 +4,8 @@ Each node repeatedly publishes that it is ready (`READY`, a Header with its name
 ready itself and has received the message of every other node, it sets the time of t = 0. It publishes this time
 together with that of its own clock (`START`, a Header), and repeats it for each node that still publishes `READY` or
 has been started again. A node whose clock differs by more than `CLOCKS` (because the host's clock was set in between,
-for example) uses the starter's. If a person has stopped the clock of the rig, the message also contains where
-(`node.realtime.stand`).
+for example) uses the starter's. If a person has stopped the clock of the rig, the message also contains the time at
+which it stands (`node.realtime.stand`).
 
 `READY` may be lost, since it is repeated. `START` is published only when the starter's writer is matched with all
 nodes, because a run may be over before a node asks again.
@@ -39,7 +39,7 @@ class Departure(Reader):
     local : set of str
         Other nodes of this process.
     begin : callable
-        Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
+        Called once with the wall-clock time of t = 0 and with the lead of the rig's clock over ours, ns.
     received : callable
         Called with the words of the node that stops or resumes the clock of the rig.
     """

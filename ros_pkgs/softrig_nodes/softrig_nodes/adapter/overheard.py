@@ -2,7 +2,8 @@
 
 Our nodes record what they publish; an external node records nothing. In lockstep each message is recorded at its own
 time, even if a slower reader does not use it. In real time a reader records a message at the tick that uses it, so that
-a repetition of the run finds it there (`LiveSenders.record`). Only messages after its last tick are left.
+a repetition of the run uses it at the same tick (`LiveSenders.record`). The recorder then records only the messages
+after the last tick.
 
 The recorder waits for the publishers at the start and for the last messages at the end, each for a bounded time: an
 external node need not have all outputs of the node that it replaces.

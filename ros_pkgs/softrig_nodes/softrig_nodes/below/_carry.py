@@ -36,10 +36,10 @@ def carry(slots, message, addresses, failed):  # type: ignore[no-untyped-def] # 
     slots : array of int64, shape (n, 3)
         Publisher, address and length of each message.
     message : array of int64, shape (8,)
-        The structure in which rcl is given a message.
+        The structure in which rcl receives a message.
     addresses : tuple of int
         Address of that structure, of the semaphores of full and of free slots, of six functions; the length of a nap in
-        us, and how many follow each other.
+        us, and the number of naps in succession.
     failed : array of int64, shape (1,)
         Gets what rcl returns for a message that it does not publish.
     """

@@ -34,11 +34,11 @@ class Use(NamedTuple):
     Parameters
     ----------
     seen : str
-        Versions with which it was seen to be so.
+        Versions with which it was observed to work.
     instead : str
         The public way, and what it costs.
     test : callable
-        Raises, or returns something false, where it is otherwise.
+        Raises an error or returns a false value if it does not work.
     """
 
     seen: str
@@ -277,7 +277,8 @@ def next_request(service: Any) -> tuple[Any, Any]:
 def client_of(header: Any) -> bytes:
     """Return the identity of the reader that waits for the answer to a request; empty if it is not known.
 
-    The header of a request holds it, but rclpy does not show it. What is read is compared with what rclpy shows.
+    The header of a request contains it, but rclpy does not show it. The other fields read from the header are compared
+    with those that rclpy shows.
     """
     if not works("client"):
         return b""

@@ -99,7 +99,7 @@ class Faces:
     def _measure(self, block: Any) -> None:
         """Measure the figures outside of the tick: for a long window this takes longer than many ticks.
 
-        The measured data are a value, which ticks in the meantime do not change.
+        The measured data are an immutable value, so ticks in the meantime do not change them.
         """
         t, x = self._adapter.t, self._adapter.step.x
         if self._executor is None:

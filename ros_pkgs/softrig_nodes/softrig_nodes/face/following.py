@@ -1,7 +1,8 @@
 """Trajectories that people and planners send to a reference: a topic and, where control_msgs is installed, an action.
 
-Both have the names, types and rules of ros2_controllers' joint_trajectory_controller (see `goals`). What is accepted
-becomes a change of the block's live parameters ``goal.*``, and so it is recorded and repeated like any other.
+Both have the names, types and rules of ros2_controllers' joint_trajectory_controller (see `goals`). An accepted
+trajectory becomes a change of the block's live parameters ``goal.*``, which is recorded and repeated like any other
+change.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def action_type() -> Any:
     Raises
     ------
     Exception
-        Of Python or of rosidl, which raises a bare one: it cannot be had.
+        The type is not available; Python or rosidl raises the error, rosidl a plain Exception.
     """
     kind = message_class(ACTION)
     check_for_type_support(kind)

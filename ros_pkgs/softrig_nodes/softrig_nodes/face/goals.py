@@ -60,7 +60,7 @@ def motion(message: Any, joints: Sequence[str], now: int, row: Sequence[float], 
     now : int
         ns of the run: the newest tick.
     row : sequence of float
-        What the reference has answered to it: positions, velocities, accelerations of all joints.
+        Values of the reference at that tick: positions, velocities, accelerations of all joints.
     epoch : int
         Stamp of t = 0, ns.
     last : int, optional

@@ -53,7 +53,7 @@ def types() -> dict[str, Any]:
     Raises
     ------
     Exception
-        Of Python or of rosidl, which raises a bare one: some cannot be had.
+        Some types are not available; Python or rosidl raises the error, rosidl a plain Exception.
     """
     names = {"Result": "msg", "SimulationState": "msg", **dict.fromkeys(SERVICES, "srv"), "SimulateSteps": "action"}
     result = {name: message_class(f"{PACKAGE}/{kind}/{name}") for name, kind in names.items()}

@@ -17,7 +17,7 @@ def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> N
     Parameters
     ----------
     outputs : iterable of Output
-        Advertised ones, with stamps by which a reader knows what it has.
+        Advertised outputs whose messages have stamps, by which a reader detects a repetition.
     may_repeat : callable
         Whether the node is still at its first tick.
     """

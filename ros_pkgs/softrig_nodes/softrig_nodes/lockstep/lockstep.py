@@ -1,6 +1,6 @@
 """Lockstep: a node answers tick k when everything stamped t_k has arrived, at any speed of the host.
 
-Nothing here looks at a clock to decide a number; wall-clock time only ends a run that makes no progress.
+No number depends on a clock here; wall-clock time only ends a run that makes no progress.
 """
 
 from __future__ import annotations

@@ -58,8 +58,8 @@ class DeadLocks:
     def release(self, domain: int) -> int:
         """Unlock each mutex whose owner was dead at two checks in a row; return how many were unlocked.
 
-        Two looks are needed, because the owner of another PID namespace is not visible here. (A live owner would have
-        to be preempted with the mutex locked at both looks. Its port would lose a notification, and no message.)
+        Two checks are needed, because the owner of another PID namespace is not visible here. (A live owner would have
+        to be preempted with the mutex locked at both checks. Its port would lose a notification, but no message.)
         """
         now = time.monotonic()
         if now < self._checked + BETWEEN:

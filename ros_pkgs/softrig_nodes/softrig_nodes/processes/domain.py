@@ -36,10 +36,10 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     of any user holds its name among the abstract sockets of the host. The operating system drops both when the process
     ends. A domain that any ROS session of this host uses is not chosen either: the session holds ports of that domain.
 
-    The search starts at the process number, so that two successive runs rarely share a domain and see each other's
-    dead nodes. It continues in `BEYOND` when all of `DOMAINS` are taken. Files that killed processes left in shared
-    memory are removed, together with all ports of a domain without nodes, because a new node would use them as they
-    are (see `remove_leftovers`).
+    The search starts at the process number, so that two successive runs rarely share a domain and see each other's dead
+    nodes. It continues in `BEYOND` when all of `DOMAINS` are taken. Files that killed processes left in shared memory
+    are removed, together with all ports of a domain without nodes, because a new node would use them unchecked (see
+    `remove_leftovers`).
 
     Parameters
     ----------

@@ -216,7 +216,7 @@ def start_node(
 ) -> Forked | None:
     """Fork a node from the server of this process; see `ForkServer.start`.
 
-    A server whose modules have been edited since is replaced.
+    A server is replaced if its modules have been edited since it started.
     """
     # A server declines once a module has been edited since it was imported; a new server imports the new text.
     for _ in range(2):

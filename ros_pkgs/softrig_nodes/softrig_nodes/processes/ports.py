@@ -51,7 +51,7 @@ def chosen(domain: int, used: Collection[int] = (), now: float | None = None) ->
     Parameters
     ----------
     used : collection of int
-        Numbers of which there are files; they are chosen only where there is no other.
+        Numbers for which files exist; they are chosen only if all numbers are used.
     now : float, optional
         s, of a clock that all processes of a host share.
     """

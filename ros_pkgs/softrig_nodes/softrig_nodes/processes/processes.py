@@ -66,8 +66,8 @@ def run_processes(
     Returns
     -------
     Outcome
-        With `error` set when a node failed and `stopped` when a signal or an interrupt ended the run; what was
-        recorded up to there is in it.
+        With `error` set when a node failed and `stopped` when a signal or an interrupt ended the run; it has everything
+        that was recorded up to then.
 
     Raises
     ------

@@ -72,8 +72,8 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
 def clear_ports(domain: int, folder: Path = FOLDER) -> None:
     """Remove ports whose creator was killed while it created them, so that no new node of a domain hangs at them.
 
-    A creator needs some microseconds. It is given `AGE`, and on a host where it waits for a processor, as long as this
-    process takes to look `LOOKS` times.
+    A creator needs some microseconds. It has the time `AGE` and, on a host where it waits for a processor, the time in
+    which this process checks `LOOKS` times.
 
     Parameters
     ----------

@@ -117,8 +117,8 @@ def _to_start(epoch: int, most: float) -> float:
 class SystemClock:
     """Detects that the system's clock was set back.
 
-    Fast DDS waits by that clock. Until the clock reaches its old time again, no participant is discovered and no lost
-    message is sent again.
+    Fast DDS measures its waits with that clock. Until the clock reaches its old time again, no participant is
+    discovered and no lost message is sent again.
     """
 
     def __init__(self) -> None:

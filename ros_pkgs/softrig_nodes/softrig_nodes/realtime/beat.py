@@ -1,6 +1,7 @@
 """Real-time ticks of nodes in one process that subscribe only to each other: all due nodes run in order at each tick.
 
-They need not wait for messages: the outputs of one are in the inputs of the others before these run, as in process.
+They need not wait for messages: the outputs of each node are in the inputs of the others before these run, as in an
+in-process run.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Realtime: a node against the wall clock, for people, hardware and other people's nodes.
 
 Stamps are ROS time: t_k = k * period counted from the Unix epoch, so all nodes of a host tick on one grid. A plant
-moves by its timer and holds the newest command. A source has a timer. A block with required inputs answers a tick when
-all of them that are due at its stamp are there, or, a stated part of its period after the first, with what it has.
+advances by its timer and holds the newest command. A source has a timer. A block with required inputs answers a tick
+when all inputs due at its stamp have arrived; a stated part of its period after the first one it answers with those
+that it has.
 """
 
 from __future__ import annotations
@@ -443,7 +444,7 @@ class Realtime(Link):
 def newest(timer: Timer, schedule: Schedule, t: int) -> int:
     """Return the newest tick at a time t (both ns from t = 0), and have the timer fire at the next one.
 
-    It is aimed at that point of the wall clock's grid each time, so that no error adds up.
+    It is computed from the grid of the wall clock each time, so that errors do not accumulate.
     """
     due = schedule.held(t)
     timer.again(schedule.next(due) - t, schedule.time(1))

@@ -1,12 +1,12 @@
 """A third-party node with its own timer: it gets its inputs, its clock is advanced, and its answer is awaited.
 
-It is started in the namespace of the rig's node, with /clock remapped into that namespace. So it reads and publishes
-there and not on the topics of the rig. After each input of a tick it gets two requests, one after the other, and its
-clock moves only when its executor has answered both. Messages from one process to another arrive in order. An executor
-looks at its subscriptions and services in turn, so it may answer a first request and still have missed the input that
-arrived before it, between the two looks. Before the second request is sent the input is there, and of what is ready
-together subscriptions come first. So its callbacks of the tick have run by then, at any load. (An acknowledgement by
-DDS would prove less, and comes with a heartbeat, up to seconds later.)
+It is started in the namespace of the rig's node, with /clock remapped into that namespace. So it subscribes and
+publishes there and not on the topics of the rig. After each input of a tick it gets two requests, one after the other,
+and its clock moves only when its executor has answered both. Messages from one process to another arrive in order. An
+executor checks its subscriptions and then its services, so it may answer the first request although it has missed an
+input that arrived between the two checks, before the request. When the second request is sent, the input has arrived,
+and of all that is ready an executor serves subscriptions first. So its callbacks of the tick have run by then, at any
+load. (An acknowledgement by DDS would prove less, and comes with a heartbeat, up to seconds later.)
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Guest:
         Raises
         ------
         RunError
-            It has gone, publishes nothing, twice, or what cannot be read.
+            It has left, publishes nothing, publishes twice, or publishes something that cannot be read.
         """
         for port in self._inputs:
             value = inputs[port.name]

@@ -24,7 +24,8 @@ def message_class(msgtype: str) -> Any:
     Raises
     ------
     ImportError
-        No installed interface package of this name: a type named by a bag must not run other code.
+        There is no installed interface package of this name. Only such packages are imported, because a type named by a
+        bag must not run other code.
     """
     package, kind, name = (*msgtype.split("/"), "", "")[:3]
     index = "share/ament_index/resource_index/rosidl_interfaces"
@@ -96,7 +97,7 @@ def marker_array(stamp: int, markers: Sequence[Marker]) -> Any:
     stamp : int
         ns.
     markers : sequence of Marker
-        What a block has to show.
+        The markers of a block.
     """
     from geometry_msgs.msg import Point as PointMessage
     from visualization_msgs.msg import Marker as MarkerMessage, MarkerArray

@@ -1,12 +1,12 @@
 """The processor on which the two nodes of a lockstep loop take turns.
 
-One plant and one controller wait for each other, so only one of them works at a time. But the system wakes the
-receiver of a message on an idle processor. Waking that processor takes longer than a short tick, and the data of the
-tick is then in the caches of another one. So both nodes stay on one processor, chosen by the number of their domain;
-rigs that run at the same time use different ones. Followers use the remaining processors. A node that computes for
-longer runs wherever there is room.
+One plant and one controller wait for each other, so only one of them works at a time. But the system wakes the receiver
+of a message on an idle processor. Waking that processor takes longer than a short tick, and the data of the tick is
+then in the caches of another one. So both nodes stay on one processor, chosen by the number of their domain; rigs that
+run at the same time use different ones. Followers use the remaining processors. A node with longer computations runs on
+any processor with free capacity.
 
-With a third node in the loop two can work at a time; running them in parallel saves more than the way between
+With a third node in the loop two can work at a time; running them in parallel saves more than the transfer between
 processors costs. Only the rig knows which nodes it has, so it selects the placement (`Middleware.be_prompt`).
 """
 

@@ -1,8 +1,9 @@
 """Answer the requests of a node's services: in order of arrival, within a share of the time, and not to clients that
 have left.
 
-rclpy's executor calls all that has arrived one after the other. Behind a flood of requests a timer waits for seconds.
-So the requests stay in the queues of the middleware, which keep the newest ones, and a timer takes them.
+rclpy's executor serves all arrived requests one after the other, so during a flood of requests a timer waits for
+seconds. Therefore requests stay in the queues of the middleware, which keep the newest ones, and a timer takes them
+from there.
 """
 
 from __future__ import annotations
@@ -181,7 +182,7 @@ class Requests:
     def _oldest(self, begun: int) -> _Offer | None:
         """Return the service with the oldest request of all.
 
-        Of a request that arrived after the look had begun, it is not known whether it is the oldest.
+        A request that arrived after the check had begun may not be the oldest.
         """
         offers = [o for o in self._offers if o.header is not None]
         offers = [o for o in offers if o.known or o.header.received_timestamp <= begun]

@@ -552,7 +552,7 @@ class RosMiddleware(Middleware):
     def _overrides(self, topic: str, kind: str) -> QoSOverridingOptions | None:
         """Let rclpy read overrides of a topic's QoS profile into the given profile, since a copy is made for each.
 
-        Without anything given there are no six parameters for each.
+        Without overrides, the six parameters of each topic are not declared.
         """
         prefix = f"{OF_QOS}{self.resolve(topic)}.{kind}."
         self._overridable.append(prefix)

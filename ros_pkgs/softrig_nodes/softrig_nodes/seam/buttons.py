@@ -21,7 +21,8 @@ class Buttons:
     Attributes
     ----------
     pressed : dict of Port to int
-        Presses that the block has not seen go down and up again; nothing to `release` when it is empty.
+        Presses that the block has not yet processed completely, down and up; if it is empty, there is nothing to
+        `release`.
     """
 
     def __init__(self, values: MutableMapping[str, Any], record: Callable[[Port, bool], None]) -> None:

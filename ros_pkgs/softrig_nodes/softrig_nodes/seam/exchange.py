@@ -122,7 +122,7 @@ class Exchange:
         until : int
             ns, monotonic.
         awake : int
-            A timer that is nearer is waited for here.
+            A timer that is due within this time, ns, is awaited here.
 
         Returns
         -------

@@ -75,7 +75,7 @@ class Middleware(Protocol):
     prompt : bool
         Whether messages are taken in the thread that receives them (see `be_prompt`).
     processor : int or None
-        The one on which the node works; None: where there is room.
+        The processor on which the node works; None: any with free capacity.
     """
 
     name: str
