@@ -40,23 +40,50 @@ from .page import Begin, Page, Tables, page, show, write
 
 PARTS: dict[str, Callable[[], Tables | None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
-    "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "native": native.print_table,
+    "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "native": native.tables,
     "exported_law": exported.print_law, "exported_rigs": exported.print_rigs,
     "exported_plant": exported.print_plant, "exported_fmus": exported.print_fmus,
     "containers": rigs.containers, "reading": reading.reading,
     "realtime": realtime.realtime, "view": view.view,
-    "systems": systems.print_table, "induction": induction.print_table, "machines": machines.print_table,
+    "systems": systems.print_table, "induction": induction.table, "machines": machines.print_table,
     "peers": beside.peers,
     "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
     "falsify": falsification_table.print_table, "environment": environment.print_table,
-    "places": places.print_table,
+    "places": places.table,
 }  # fmt: skip
 
-WARM = "All times are processor time, with code compiled and memory pages mapped by a run before."
+WARM = "All times are processor time, with code compiled and memory pages mapped by a run before"
 #: The page of each part that has one.
 PAGES: dict[str, Page] = {
-    "peers": page("bringup", "peers", WARM + " softrig has the least of three runs; each library ran once."),
+    "peers": page("bringup", "peers", f"{WARM}. softrig has the least of three runs; each library ran once."),
+    "reading": page(
+        "bags",
+        "bags_measured",
+        "All times are processor time of a new process for each value, with fresh memory pages.",
+    ),
+    "native": page(
+        "core",
+        "native_measured",
+        f"{WARM}; each value is the least of five. The memory of recordings is new in each run.",
+    ),
+    "induction": page(
+        "core",
+        "native_measured",
+        f"{WARM}. softrig has the median of three runs; each library ran once.",
+    ),
+    "places": page("core", "native_measured", "A count, no time."),
+    "containers": page(
+        "nodes",
+        "placements_measured",
+        "Rates are by the wall clock, each run in a new process with fresh memory pages; container and in process have "
+        "the best of three.",
+    ),
+    "loop": page(
+        "nodes",
+        "placements_measured",
+        "All times are by the wall clock, the median of three runs of 5,000 loops in new processes.",
+    ),
 }
 
 

@@ -1,43 +1,28 @@
-"""Compare this checkout with another commit by the CPU time of commands that a user waits for, in turn."""
+"""Compare this checkout with another commit by what a user waits for: both builds in turn."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import re
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
-from rich.table import Table
 from softrig_core import ScenarioError
 from softrig_core.kit.compiled import cache_folder
 
+from .against_rows import PREPARED, ROWS, Values, cost, plain
 from .console import console
+from .page import ROOT, Begin, Table, page, show, write
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "ros_pkgs/softrig_bringup/doc/lab/against.md"
-MARKS = r"(<!-- {} -->\n).*?(<!-- end -->)"
-RUN = "run dc_motor_smc_b2 --mode inprocess --out"
-# commands that a person waits for: words after scripts/softrig; OUT is a new place, made is the result of `PREPARED`
-COMMANDS = {
-    "list": "list",
-    "help": "--help",
-    "run in process, 25 s of dc_motor_smc_b2": f"{RUN} OUT",
-    "run through processes, 0.01 s": "run dc_motor_smc_b2 --mode processes --duration 0.01 --out OUT",
-    "run in a container, 20 s of induction_dtc": "run induction_dtc --mode container --duration 20 --out OUT",
-    "report": "report made",
-    "bag info": "bag info made/bag",
-    "bag compare": "bag compare made/bag made/bag",
-    "study, 2 runs": "study dc_motor_smc_b2 --grid dc_motor_smc.delta=1,5 --out OUT",
-    "study, 400 runs of 2 s of induction_dtc": "study induction_dtc --duration 2 --draw im_plant.U_dc=500..560 "
-    "--draws 400 --out OUT",
-    "falsify, 100 runs of 2 s of induction_dtc": "falsify induction_dtc --duration 2 --requirement tracks "
-    "--requirement flux_band --over im_plant.R_s=3.5..3.9 --budget 100 --out OUT",
-}
-PREPARED = f"{RUN} made"
+PAGE = page(
+    "bringup",
+    "against",
+    "CPU s is the user and system time of a command and its processes, with compiled code in the cache and fresh "
+    "memory pages in each process.",
+)
+HEADS = ("what", "unit", "before", "now", "ratio", "asked")
 # One scenario of each system, at its full length.
 SCENARIOS = (
     "dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "manipulator_adsmc",
@@ -79,62 +64,41 @@ def built(commit: str) -> Path:
     return place
 
 
-def plain() -> dict[str, str]:
-    """Return the environment without the additions of this checkout's script."""
-    ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "SOFTRIG_", "_ROS_", "LD_PRELOAD", "OMP_", "OPENBLAS_", "NPY_")
-    path = [p for p in os.environ["PATH"].split(os.pathsep) if p != f"{os.environ.get('VIRTUAL_ENV')}/bin"]
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
-    return kept | {"PATH": os.pathsep.join(path), "SOFTRIG_WORKSPACE": "none"}
+def compared(other: Path, names: Sequence[str], rounds: int | None = None) -> dict[str, tuple[list[Values], ...]]:
+    """Measure rows in another checkout and in this one in turn, and return the values of each round of both.
 
-
-def cost(checkout: Path, words: str, folder: Path) -> float:
-    """Run a command of a checkout and return the CPU time of it and of its processes in s.
-
-    Raises
-    ------
-    ScenarioError
-        It failed; with the end of what it wrote.
+    Parameters
+    ----------
+    rounds : int, optional
+        Of each row; absent: its own number.
     """
-    place = Path(tempfile.mkdtemp(dir=folder))
-    command = [str(checkout / "scripts/softrig"), *words.replace("OUT", str(place / "out")).split()]
-    with tempfile.TemporaryFile("w+") as output:
-        process = subprocess.Popen(command, cwd=folder, env=plain(), stdout=output, stderr=output)
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        output.seek(0)
-        if process.returncode not in (0, 1):  # 1: a figure of a changed run misses
-            raise ScenarioError(f"{' '.join(command)}: status {process.returncode}: {output.read()[-500:]}")
-    return used.ru_utime + used.ru_stime
-
-
-def compared(other: Path, names: Sequence[str], rounds: int) -> dict[str, tuple[list[float], list[float]]]:
-    """Run commands of another checkout and of this one in turn; the first round, which compiles, is left out."""
-    result: dict[str, tuple[list[float], list[float]]] = {}
+    result: dict[str, tuple[list[Values], ...]] = {}
     with tempfile.TemporaryDirectory() as scratch:
         folders = {checkout: Path(scratch, name) for checkout, name in ((other, "before"), (ROOT, "now"))}
         for checkout, folder in folders.items():
             folder.mkdir()
-            cost(checkout, PREPARED, folder)
+            cost(PREPARED, checkout, folder)
         for name in names:
-            costs: dict[Path, list[float]] = {other: [], ROOT: []}
-            for _ in range(rounds + 1):
+            row = ROWS[name]
+            values: dict[Path, list[Values]] = {other: [], ROOT: []}
+            for _ in range((rounds or row.rounds) + row.warm):
                 for checkout, folder in folders.items():
-                    costs[checkout].append(cost(checkout, COMMANDS[name], folder))
-            result[name] = (costs[other][1:], costs[ROOT][1:])
+                    values[checkout].append(row.measure(checkout, folder))
+            result[name] = tuple(values[checkout][row.warm :] for checkout in (other, ROOT))
+            for line in rows({name: result[name]}):
+                console.print(*line, sep="  ")
     return result
 
 
-def rows(values: dict[str, tuple[list[float], list[float]]]) -> list[tuple[str, ...]]:
-    """Return name, CPU time before and now, and their ratio, each the median over rounds."""
-    return [
-        (
-            name,
-            f"{median(before):.2f}",
-            f"{median(now):.2f}",
-            f"{median(n / b for b, n in zip(before, now, strict=True)):.2f}",
-        )
-        for name, (before, now) in values.items()
-    ]
+def rows(values: Mapping[str, tuple[list[Values], ...]]) -> Table:
+    """Return name, unit, value before and now, their ratio, each the median over rounds, and what was asked."""
+    result: Table = []
+    for name, (before, now) in values.items():
+        for k, (part, unit, asked) in enumerate(ROWS[name].parts):
+            old, new = ([round_[k] for round_ in rounds] for rounds in (before, now))
+            ratio = median(n / b for b, n in zip(old, new, strict=True))
+            result.append((name + part, unit, f"{median(old):.3g}", f"{median(new):.3g}", f"{ratio:.2f}", asked))
+    return result
 
 
 def whole(checkout: Path, scenario: str, settings: Mapping[str, str]) -> float:
@@ -152,7 +116,7 @@ def whole(checkout: Path, scenario: str, settings: Mapping[str, str]) -> float:
     return float(result.stdout.split()[-1])
 
 
-def run_rows(places: tuple[Path, Path], names: Sequence[str], mode: str, rounds: int) -> list[tuple[str, ...]]:
+def run_rows(places: tuple[Path, Path], names: Sequence[str], mode: str, rounds: int) -> Table:
     """Run scenarios in two checkouts in turn.
 
     Returns
@@ -160,7 +124,7 @@ def run_rows(places: tuple[Path, Path], names: Sequence[str], mode: str, rounds:
     list of tuple of str
         Scenario, the least CPU time before and now, and their ratio.
     """
-    result: list[tuple[str, ...]] = []
+    result: Table = []
     warm = mode == "default"  # its first round compiles
     for name in names:
         actual = [[whole(place, name, MODES[mode]) for place in places] for _ in range(rounds + warm)][warm:]
@@ -170,43 +134,37 @@ def run_rows(places: tuple[Path, Path], names: Sequence[str], mode: str, rounds:
     return result
 
 
-def written(mark: str, lines: Sequence[tuple[str, ...]]) -> str:
-    """Return the page of measurements with a table in place of the one that has this mark."""
-    text = "\n".join(f"| {' | '.join(line)} |" for line in (lines[0], ("---",) * len(lines[0]), *lines[1:]))
-    return re.sub(MARKS.format(mark), lambda m: f"{m[1]}{text}\n{m[2]}", PAGE.read_text(), flags=re.DOTALL)
-
-
 def main(arguments: Sequence[str]) -> int:
-    """Build a commit beside this checkout, run the same commands in both in turn, and print the table."""
+    """Build a commit beside this checkout, measure the same things in both in turn, and print the table."""
+    listed = "\n".join(f"  {name}{' (only if it is named)' if row.slow else ''}" for name, row in ROWS.items())
     parser = argparse.ArgumentParser(
         prog="scripts/softrig bench against",
         description=main.__doc__,
-        epilog="commands:\n" + "\n".join(f"  {name:42}{words}" for name, words in COMMANDS.items()),
+        epilog=f"rows:\n{listed}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("commit", metavar="COMMIT", help="what to compare with")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="beginnings of the commands to run (default: all)")
-    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of each command, in turn (default: 3)")
-    parser.add_argument("--runs", choices=MODES, help="whole runs of scenarios in place of commands, least times")
-    parser.add_argument("--write", action="store_true", help=f"write the table to {PAGE.relative_to(ROOT)}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="beginnings of the rows (default: all quick ones)")
+    parser.add_argument("--rounds", type=int, metavar="N", help="of each row, in turn (default: 1 to 3)")
+    parser.add_argument("--runs", choices=MODES, help="whole runs of scenarios in place of rows, least times")
+    parser.add_argument("--write", action="store_true", help=f"write the table to doc/lab/{PAGE.path.name}")
     options = parser.parse_args(arguments)
-    if options.rounds < 1:
+    if options.rounds is not None and options.rounds < 1:
         parser.error(f"--rounds {options.rounds}: expected at least 1")
-    kind, known = ("scenario", SCENARIOS) if options.runs else ("command", tuple(COMMANDS))
-    names = [n for n in known if not options.names or n.startswith(tuple(options.names))]
+    kind, known = ("scenario", SCENARIOS) if options.runs else ("row", tuple(ROWS))
+    named = [n for n in known if n.startswith(tuple(options.names))]
+    names = named if options.names else [n for n in known if options.runs or not ROWS[n].slow]
     if not names:
-        parser.error(f"no {kind} begins with {', '.join(options.names)}; there are {', '.join(known)}")
-    other, heads = built(options.commit), (kind, "CPU s before", "CPU s now", "ratio")
+        parser.error(f"no {kind} begins with {', '.join(options.names)}; there are {'; '.join(known)}")
+    other, begun = built(options.commit), Begin.now()
     if options.runs:
         # A build of the newest commit: numba imports packages of a set-up for tests (coverage), which takes 0.2 s.
-        result = run_rows((other, built("HEAD")), names, options.runs, options.rounds)
+        result = run_rows((other, built("HEAD")), names, options.runs, options.rounds or 3)
+        table = [("scenario", "CPU s before", "CPU s now", "ratio"), *result]
     else:
-        result = rows(compared(other, names, options.rounds))
-    lines = [heads, *result]
-    table = Table(*lines[0])
-    for line in lines[1:]:
-        table.add_row(*line)
-    console.print(table)
+        table = [HEADS, *rows(compared(other, names, options.rounds))]
+    show(table)
     if options.write:
-        PAGE.write_text(written(options.runs or "against", lines))
+        mark = options.runs or ("slow" if all(ROWS[n].slow for n in names) else "rows")
+        write(PAGE, {mark: table}, f"scripts/softrig bench against {' '.join(arguments)}", begun)
     return 0

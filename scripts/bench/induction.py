@@ -11,6 +11,7 @@ import numpy as np
 from softrig_core import Recording, Rig, Signals, load_scenario, rig_of, run_inprocess
 
 from .induction_peers import LEGS
+from .page import Table, Tables
 from .peers import MANY, asked
 from .timing import cpu
 
@@ -104,7 +105,7 @@ def _median(call: Callable[[], object]) -> float:
     return statistics.median(cpu(call) for _ in range(ROUNDS))
 
 
-def print_table() -> None:
+def table() -> Tables:
     """One simulated second of the induction motor drive beside motulator and gym-electric-motor, where installed.
 
     ``SOFTRIG_PEERS`` in the environment: an interpreter that has them.
@@ -112,8 +113,10 @@ def print_table() -> None:
     python = os.environ.get("SOFTRIG_PEERS", sys.executable)
     results = simulated_second(python)
     ours = results["softrig natively, everything recorded"] or 0.0
+    rows: Table = [("one simulated second of the drive", "CPU s", "times", "difference after 0.5 s, Wb or rad/s")]
     for name, seconds in results.items():
-        print(f"{name:48} " + ("not installed" if seconds is None else f"{seconds:8.4f} s  {seconds / ours:6.1f} x"))
-    for name in ("motulator-tight", "gym-electric-motor"):
-        if (distance := agreement(python, 0.5, name)) is not None:
-            print(f"{name} ends {distance:.1e} Wb or rad/s from ours after 0.5 s of the same switching")
+        tight = {"motulator-tight": PEERS["motulator-tight"], "gym-electric-motor": PEERS["gym-electric-motor"]}
+        apart = next((agreement(python, 0.5, peer) for peer, title in tight.items() if title == name), None)
+        figures = ("not installed", "") if seconds is None else (f"{seconds:.4f}", f"{seconds / ours:,.1f}")
+        rows.append((name, *figures, "" if apart is None else f"{apart:.1e}"))
+    return {"induction": rows}

@@ -24,6 +24,7 @@ from softrig_nodes.processes.executables import environment
 from softrig_nodes.processes.placement import Placement
 
 from .console import console
+from .page import Table as Lines, Tables
 
 ROUNDS = 3
 LOOPS = 5000
@@ -78,7 +79,7 @@ def _in_turn(cases: dict[str, Callable[[], dict[str, float]]]) -> dict[str, dict
     return {name: {k: statistics.median(r[k] for r in rows) for k in rows[0]} for name, rows in results.items()}
 
 
-def loop() -> None:
+def loop() -> Tables:
     """Lockstep between processes against a bare rclpy ping-pong of the same messages."""
     cases: dict[str, Callable[[], dict[str, float]]] = {
         "ping-pong, serialized bytes, EventsExecutor": lambda: ping_pong("bytes"),
@@ -91,12 +92,12 @@ def loop() -> None:
     }
     result = _in_turn(cases)
     base, possible, usual = (result[name]["loops_s"] for name in list(cases)[:3])
-    heads = ("loop", "loops/s", "p50 us", "p99 us", "of bytes", "of possible", "of objects")
-    table = Table(*heads, box=None, pad_edge=False)
+    peers = ("of the ping-pong of bytes", "of the one answered where it arrives", "of the one of objects")
+    table: Lines = [("loop", "loops/s", "p50 us", "p99 us", *peers)]
     for name, row in result.items():
-        figures = [f"{row[k]:.0f}" for k in ("loops_s", "p50_us", "p99_us")]
-        table.add_row(name, *figures, *(f"{row['loops_s'] / of:.2f}" for of in (base, possible, usual)))
-    console.print(table)
+        figures = [f"{row[k]:,.0f}" for k in ("loops_s", "p50_us", "p99_us")]
+        table.append((name, *figures, *(f"{row['loops_s'] / of:.2f}" for of in (base, possible, usual))))
+    return {"loop": table}
 
 
 def tick() -> None:

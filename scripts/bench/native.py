@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 from softrig_core import Recording, Rig, ScenarioError, jit, rig_of, simulate
 from softrig_core.block.loop import Loop
 from softrig_core.native.compile import compiled, plain
@@ -18,7 +17,7 @@ from softrig_core.run.inprocess import record, wired
 from softrig_drives.induction_dtc.switching import VECTORS
 from softrig_drives.lsrm.plant import step
 
-from .console import console
+from .page import Table, Tables
 from .timing import least
 
 RIGS = (
@@ -187,22 +186,22 @@ def _drive(blocks: dict[str, Any]) -> list[float]:
             *(x for u in law._unit for x in (u.real, u.imag))]  # fmt: skip
 
 
-def print_table() -> None:
+def tables() -> Tables:
     """Native code beside hand-written C, then rigs beside Python, ns of CPU a tick; needs gcc."""
-    table = Table("loop", *LOOPS, box=None, pad_edge=False)
     results = {name: rates(name) for name in LOOPS}
+    loops: Table = [("ns a tick", *(cell for name in LOOPS for cell in (name, "of C")))]
     for how in results["dc_motor_smc"]:
-        table.add_row(how, *(f"{results[name][how]:.1f}" for name in LOOPS))
-    console.print(table)
-    console.print(f"lsrm_plant: {', '.join(f'{how} {ns:.0f}' for how, ns in core_rates().items())}")
-    table = Table("rig", "ticks", "one by one", "one text in Python", "native", "times", box=None, pad_edge=False)
+        ours = [(results[name][how], results[name][how.replace("native", "C by hand")]) for name in LOOPS]
+        loops.append((how, *(cell for ns, c in ours for cell in (f"{ns:.1f}", f"{ns / c:.2f}"))))
+    core: Table = [("plant of lsrm_fuzzy", "ns a tick"), *((how, f"{ns:.0f}") for how, ns in core_rates().items())]
+    ticks: Table = [("rig", "ticks", "Python, tick by tick", "Python, generated text of the rig", "native", "times")]
     for name in RIGS:
         rig = rig_of(name)
         one, text, compiled_ = (ns_of(rig, make) for make in (None, plain, compiled))
-        table.add_row(
-            name, f"{rig.ticks:,}", f"{one:,.0f}", f"{text:,.0f}", f"{compiled_:,.0f}", f"{one / compiled_:.1f}"
+        ticks.append(
+            (name, f"{rig.ticks:,}", f"{one:,.0f}", f"{text:,.0f}", f"{compiled_:,.0f}", f"{one / compiled_:.1f}")
         )
-    console.print(table)
+    return {"native loops": loops, "native core": core, "native rigs": ticks}
 
 
 def ns_of(rig: Rig, make: Any) -> float:

@@ -7,9 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from rich.table import Table
-
-from .console import console
+from .page import Table, Tables
 
 ROOT = Path(__file__).resolve().parents[2] / "ros_pkgs"
 # The rooms that a tick runs through, of this version and of those before the packages were parted.
@@ -72,10 +70,11 @@ def places(packages: Path = ROOT) -> dict[str, list[str]]:
     return {kind: [name for name, text in code if re.search(pattern, text)] for kind, pattern in KINDS.items()}
 
 
-def print_table() -> None:
+def table() -> Tables:
     """Count the functions that state each part of a tick (who is due, silence, ages, ...)."""
-    table = Table("part of a tick", "functions", "modules", "in")
-    for kind, names in places().items():
-        modules = list(dict.fromkeys(name.partition(".")[0] for name in names))
-        table.add_row(kind, str(len(names)), str(len(modules)), ", ".join(modules))
-    console.print(table)
+    rows: Table = [("part of a tick", "functions", "modules")]
+    result = places()
+    for kind, names in result.items():
+        rows.append((kind, str(len(names)), ", ".join(dict.fromkeys(name.partition(".")[0] for name in names))))
+    rows.append(("all", str(sum(map(len, result.values()))), ""))
+    return {"places": rows}

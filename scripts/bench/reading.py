@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.table import Table
 from softrig_bags.content.topics import BagTopic, qos
 from softrig_bags.files.bag import BagWriter
 from softrig_core.wire.cdr import Layout
 
-from .console import console
+from .page import Table, Tables
 
 MESSAGES = 5_000_000
 SAMPLE = 100_000  # messages that the readers of others read: theirs takes the same time for each
@@ -115,19 +114,22 @@ def costs(folder: Path, compression: str, count: int = MESSAGES, sample: int = S
     return result
 
 
-def reading() -> None:
+def reading() -> Tables:
     """Reading bags: CPU time of a million messages and memory, beside rosbags and mcap-ros2-support."""
+    tables: Tables = {}
     for compression in ("none", "zstd"):
         with tempfile.TemporaryDirectory() as folder:
             result = costs(Path(folder), compression)
-        heads = (f"{MESSAGES / 1e6:g} M JointState, {compression}", "s / M messages", "MB")
         beside = [name for name in THEIRS if result[name] is not None]
-        table = Table(*heads, *(f"times {name.split(',')[0]}" for name in beside), box=None, pad_edge=False)
+        heads = (f"{MESSAGES / 1e6:g} M JointState, {compression}", "CPU s a million messages", "peak MB")
+        rows: Table = [(*heads, *(f"times {name.split(',')[0]}" for name in beside))]
         for name, cost in result.items():
             if cost is None:
-                table.add_row(name, "not installed", "")
+                rows.append((name, "not installed", *[""] * (1 + len(beside))))
                 continue
             read = cost.seconds / (2 if "two" in name else 1)  # of each bag
             ratios = [f"{other.seconds / read:.1f}" for peer in beside if (other := result[peer]) is not None]
-            table.add_row(name, f"{cost.seconds:.2f}", f"{cost.memory:,.0f}", *(ratios if name in OURS else ()))
-        console.print(table)
+            own = ratios if name in OURS else [""] * len(beside)
+            rows.append((name, f"{cost.seconds:.2f}", f"{cost.memory:,.0f}", *own))
+        tables[f"reading {compression}"] = rows
+    return tables

@@ -23,6 +23,7 @@ from softrig_nodes.rehearsal import rehearse
 
 from .console import console
 from .loop import dc_motor_rig
+from .page import Table as Lines, Tables
 from .timing import cpu
 
 
@@ -68,30 +69,17 @@ RIGS = ("dc_motor_smc", "dc_motor_smc_b1", "dc_motor_fsfb", "induction_dtc", "ma
         "pv_mppt", "lsrm_fuzzy", "rectifier_mpc", "gupfc", "fault_location", "tcp_aqm_smc", "pwa_delay")  # fmt: skip
 
 
-def containers() -> None:
+def containers() -> Tables:
     """Lockstep ticks a second of every system, recorded: through processes, in one container, and in memory."""
-    table = Table(
-        "scenario",
-        "nodes",
-        "processes",
-        "container",
-        "in memory",
-        "x processes",
-        "of in memory",
-        box=None,
-        pad_edge=False,
-    )
+    table: Lines = [
+        ("scenario", "nodes", "processes", "container", "in process", "container / processes", "container / in process")
+    ]
     for name in sorted({scenario_of(n) for n in list_scenarios()}):
         result = ticks_a_second(name)
         row = [f"{result[k]:,.0f}" for k in ("processes", "container", "inprocess")]
-        table.add_row(
-            name,
-            f"{result['nodes']:.0f}",
-            *row,
-            f"{result['container'] / result['processes']:.1f}",
-            f"{result['container'] / result['inprocess']:.2f}",
-        )
-    console.print(table)
+        ratios = f"{result['container'] / result['processes']:.1f}", f"{result['container'] / result['inprocess']:.2f}"
+        table.append((name, f"{result['nodes']:.0f}", *row, *ratios))
+    return {"containers": table}
 
 
 def scenario_of(name: str) -> str:

@@ -51,7 +51,7 @@ KINDS = {
     "lab": (
         "Laboratory",
         "Measurements of single days: speed, starts, memory, strength of the tests.",
-        ("placements_measured", "native_measured", "bags_measured", "speed", "against", "tests"),
+        ("placements_measured", "native_measured", "bags_measured", "against", "peers", "ros_tools", "tests"),
     ),
 }  # fmt: skip
 

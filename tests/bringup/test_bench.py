@@ -1,5 +1,6 @@
 """The benchmark of a checkout: its parts run and print their tables; peers that are missing or fail are reported."""
 
+import dataclasses
 import os
 import re
 import subprocess
@@ -11,7 +12,7 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
-from bench import against, beside, induction, machines, native, page, places, realtime, rectifier, systems
+from bench import against, against_rows, beside, induction, machines, native, page, places, realtime, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_core import ScenarioError, bits
 from softrig_drives.induction_dtc.switching import VECTORS
@@ -94,15 +95,16 @@ def test_each_work_of_the_systems_has_a_row(capsys):
     assert "yardstick: a million additions" in printed
 
 
-def test_the_induction_motor_beside_its_peers(monkeypatch, capsys):
-    times = {"softrig natively, everything recorded": 0.5, "theirs": 2.0, "absent": None}
+def test_the_induction_motor_beside_its_peers(monkeypatch):
+    tight = induction.PEERS["motulator-tight"]
+    times = {"softrig natively, everything recorded": 0.5, tight: 2.0, "absent": None}
     monkeypatch.setattr(induction, "simulated_second", lambda python: times)
     monkeypatch.setattr(induction, "agreement", lambda python, seconds, name: 1e-9)
-    assert main(["induction"]) == 0
-    table = capsys.readouterr().out.splitlines()
-    assert [line.split()[-2] for line in table[2:4]] == ["1.0", "4.0"]
-    assert table[4].endswith("not installed")
-    assert table[5].startswith("motulator-tight ends 1.0e-09 Wb or rad/s from ours")
+    assert induction.table()["induction"][1:] == [
+        ("softrig natively, everything recorded", "0.5000", "1.0", ""),
+        (tight, "2.0000", "4.0", "1.0e-09"),
+        ("absent", "not installed", "", ""),
+    ]
 
 
 def test_drives_are_measured_beside_their_peer(monkeypatch, capsys):
@@ -178,9 +180,13 @@ def test_a_table_is_written_between_its_marks_with_its_conditions(monkeypatch, t
     assert "--write: environment has no page; peers" in capsys.readouterr().err
 
 
+MARKS = {"reading": ["reading none", "reading zstd"], "native": ["native loops", "native core", "native rigs"]}
+
+
 def test_each_page_has_the_marks_of_its_part():
     for part, known in sys.modules["bench.__main__"].PAGES.items():
-        assert f"bench {part} --write" in known.path.read_text(), part
+        for mark in MARKS.get(part, [part]):
+            assert known.path.read_text().count(f"<!-- bench: {mark} -->\n") == 1, mark
 
 
 @pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
@@ -212,31 +218,61 @@ def test_a_commit_is_compared_in_turn_and_a_missing_one_is_refused(capsys, monke
     assert "bench against 'nowhere': no such commit" in capsys.readouterr().err
     ran = []
 
-    def cost(checkout, words, folder):
-        ran.append((checkout.name, words))
-        return {tmp_path.name: 4.0, ROOT.name: 1.0}[checkout.name] * len(ran)
+    def measure(checkout, folder):
+        ran.append((checkout.name, folder.name))
+        return 4.0 * len(ran), {tmp_path.name: 40.0, ROOT.name: 10.0}[checkout.name]
 
-    monkeypatch.setattr(against, "cost", cost)
-    result = against.compared(tmp_path, ["list"], 2)
-    assert ran == [(n, against.PREPARED) for n in (tmp_path.name, ROOT.name)] + [
-        (n, "list") for _ in range(3) for n in (tmp_path.name, ROOT.name)
-    ]
-    assert result == {"list": ([20.0, 28.0], [6.0, 8.0])}  # the first round is left out
-    assert against.rows(result) == [("list", "24.00", "7.00", "0.29")]
+    monkeypatch.setattr(against, "cost", lambda words, checkout, folder: ran.append((checkout.name, words)))
+    row = against_rows.Row(measure, ((", CPU", "s", "0.5"), (", peak", "MB", "20 MB")), rounds=2)
+    monkeypatch.setitem(against.ROWS, "x", row)
+    result = against.compared(tmp_path, ["x"])
+    turns = [(tmp_path.name, "before"), (ROOT.name, "now")]
+    assert ran == [(name, against.PREPARED) for name, _ in turns] + 3 * turns
+    assert result == {"x": ([(20.0, 40.0), (28.0, 40.0)], [(24.0, 10.0), (32.0, 10.0)])}  # the first round is left out
+    expected = ("x, CPU", "s", "24", "28", "1.17", "0.5"), ("x, peak", "MB", "40", "10", "0.25", "20 MB")
+    assert tuple(against.rows(result)) == expected
+    assert len(against.compared(tmp_path, ["x"], 1)["x"][0]) == 1
+
+
+def test_rows_are_chosen_by_name_slow_ones_only_so_and_written(capsys, monkeypatch, tmp_path):
+    lab = tmp_path / "lab.md"
+    marks = "".join(f"<!-- bench: {mark} -->\n<!-- end -->\n" for mark in ("rows", "slow", "default"))
+    lab.write_text(marks)
+    monkeypatch.setattr(page, "ROOT", tmp_path)
+    monkeypatch.setattr(page, "_commit", lambda: "c0ffee12")
+    monkeypatch.setattr(against, "PAGE", page.Page(lab, "CPU."))
+    monkeypatch.setattr(against, "built", lambda commit: tmp_path)
+    monkeypatch.setattr(against, "compared", lambda other, names, rounds: dict.fromkeys(names, ([(2.0,)], [(1.0,)])))
+    one = against_rows.Row(lambda *_: (1.0,), (("", "s", ""),))
+    monkeypatch.setattr(against, "ROWS", {"quick": one, "long": dataclasses.replace(one, slow=True)})
+    assert main(["against", "abc", "--write"]) == 0
+    assert main(["against", "abc", "lo", "--write"]) == 0
+    text = lab.read_text()
+    assert text.count("| quick | s | 2 | 1 | 0.50 |  |") == text.count("| long | s | 2 | 1 | 0.50 |  |") == 1
+    assert "Written by `scripts/softrig bench against abc lo --write`" in text
+    with pytest.raises(SystemExit):
+        main(["against", "abc", "other"])
+    assert "no row begins with other; there are quick; long" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["writing bags", "one run of a study", "two workers"])
+def test_code_that_both_builds_run_gives_a_number_for_each_part(name, tmp_path):
+    row = next(row for known, row in against.ROWS.items() if known.startswith(name))
+    values = row.measure(ROOT, tmp_path)
+    assert len(values) == len(row.parts)
+    assert all(value > 0.0 for value in values)
+
+
+def test_the_page_has_a_place_for_each_table_of_a_comparison():
+    text = against.PAGE.path.read_text()
+    assert [m for m in ("rows", "slow", *against.MODES) if f"<!-- bench: {m} -->" not in text] == []
 
 
 def test_whole_runs_are_compared_by_their_least_times_without_the_compiling_round(monkeypatch, tmp_path):
     costs = iter([9.0, 8.0, 4.0, 3.0, 5.0, 1.0])
     monkeypatch.setattr(against, "whole", lambda place, name, settings: next(costs))
     assert against.run_rows((tmp_path, ROOT), ["gupfc"], "default", 2) == [("gupfc", "4.000", "1.000", "0.25")]
-    page = tmp_path / "page.md"
-    page.write_text("<!-- plain -->\nold\n<!-- end -->\n<!-- default -->\nold\n<!-- end -->\n")
-    monkeypatch.setattr(against, "PAGE", page)
-    result = against.written("default", [("a", "b"), ("1", "2")])
-    assert (
-        result
-        == "<!-- plain -->\nold\n<!-- end -->\n<!-- default -->\n| a | b |\n| --- | --- |\n| 1 | 2 |\n<!-- end -->\n"
-    )
 
 
 def test_functions_that_state_a_part_of_a_tick_are_counted_and_calls_of_its_owner_are_not(tmp_path):

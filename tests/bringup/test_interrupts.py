@@ -1,6 +1,6 @@
 """Each phase of a run is interrupted in each way: the status is never 0, and one line names what is missing.
 
-What is here needs no installation of ROS; `doc/lab/ends.md` has the table of what was tried by hand.
+What is here needs no installation of ROS; `doc/lab/ros_tools.md` has the table of what was tried by hand.
 """
 
 import signal
