@@ -1105,6 +1105,8 @@ def test_the_life_of_a_golden_bag_is_as_expected(tmp_path, monkeypatch, capsys):
     """Recorded, recorded again, with another length, checked here and as if elsewhere, and the file with its
     tolerances.
     """
+    # On a slow machine a sweep prints how far it is; here no machine is slow.
+    monkeypatch.setattr("softrig_optim.sweep.NEWS", math.inf)
     words = ["dc_motor_smc_b2", "--bags", str(tmp_path)]
     messages = []
 
@@ -1170,7 +1172,7 @@ def flow(lag, monkeypatch):
     monkeypatch.setattr(run_verb, "need", lambda *what: steps.append(("need", *what)))
     monkeypatch.setattr("softrig_bringup.view.serve.free_address", lambda address: steps.append(("free", address)))
     monkeypatch.setattr(
-        "softrig_bringup.view.here.here",
+        "softrig_bringup.view.here.show_here",
         lambda rig, placement, address, folder, conclude: steps.append(("here", address, folder.path.name)) or 9,
     )
     monkeypatch.setattr(
