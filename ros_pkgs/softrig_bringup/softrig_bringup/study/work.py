@@ -6,11 +6,13 @@ import math
 import time
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
+from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import SECOND, Rig, Run, RunError, Scenario, ScenarioError, evaluate, simulate
 from softrig_core.errors import Impure
+from softrig_core.run.stuck import watch_on
 from softrig_core.scenario.scenario import Draft
 
 from .draw import Case
@@ -81,6 +83,9 @@ def run(work: Work, thorough: bool = False) -> dict[str, Any]:
     Impure
         What a block answers depends on runs before this one, so no row could be trusted.
     """
+    # This process has run a study only if it is a worker, and no other code of it minds the thread that watches.
+    if parent_process() is not None:
+        watch_on()
     case = work.case
     row = case._asdict() | {
         "figures": dict.fromkeys(work.figures if work.margins else ()),

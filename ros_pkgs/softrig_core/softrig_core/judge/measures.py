@@ -44,6 +44,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..wire.long import counted, gathered, is_long
 from ..wire.times import once_for_times
+from .sums import fixed, pairs, squares
 
 __all__ = [
     "error_overshoot", "error_settling_time", "final_value", "growth_rate", "integral_absolute", "maximum", "mean",
@@ -275,7 +276,7 @@ def _statistic(unit: str, values: Callable[..., tuple[Array, Array]]) -> Callabl
 @_over_time("{signal}")
 def rms(e: Array, holds: Array) -> float:
     """Root of the mean square over time of signal - reference."""
-    return math.sqrt(mean_over(e**2, holds))
+    return math.sqrt(mean_square_over(e, holds))
 
 
 @_of_samples("{signal}")
@@ -287,7 +288,7 @@ def peak(t: Array, e: Array) -> float:
 @_over_time("{signal}^2")
 def mean_square(e: Array, holds: Array) -> float:
     """Mean over time of the squares of signal - reference (MSE of an error)."""
-    return mean_over(e**2, holds)
+    return mean_square_over(e, holds)
 
 
 @_over_time("{signal}")
@@ -531,6 +532,15 @@ def _record_end(signals: SignalMap) -> float:
     # A record may be longer than its newest message of a signal; plain dicts of arrays do not know its end.
     reported: float | None = getattr(signals, "end", None)
     return max(float(t[-1]) for t, _ in signals.values() if t.size) if reported is None else reported
+
+
+def mean_square_over(x: Array, gaps: Array, middle: float = 0.0) -> float:
+    """Average ``(x - middle) ** 2`` as `mean_over` does."""
+    if _weights(gaps) is None and not is_long(x):
+        given = fixed(x), middle, pairs(len(x))
+        if squares.pays(*given):  # type: ignore[attr-defined]
+            return squares(*given) / len(x)
+    return mean_over((x - middle) ** 2, gaps)
 
 
 def mean_over(x: Array, gaps: Array) -> float:

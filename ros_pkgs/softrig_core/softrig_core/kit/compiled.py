@@ -156,7 +156,7 @@ class Compiled:
         """Name of the function in `source`."""
         return str(self._function.name())
 
-    @property
+    @cached_property
     def sizes(self) -> tuple[list[int], list[int], int, int, int, int]:
         """Return the sizes of each input and output, then the work space that a call needs: arg, res, iw, w."""
         f = self._function
@@ -167,15 +167,14 @@ class Compiled:
         """Return memory for calls from native code: inputs, outputs, then the parts of `places` with addresses set."""
         import numpy as np
 
-        f, places = self._function, self.places
+        (inputs, outputs, *_, numbers), places = self.sizes, self.places
         # Native code gets one array for each function, so the addresses are stored among the numbers.
-        memory = np.zeros(places[3] + max(1, f.sz_w()))
-        words, base = memory.view(np.int64), memory.ctypes.data
-        offset = 0
-        for count, size, table in ((f.n_in(), f.nnz_in, places[0]), (f.n_out(), f.nnz_out, places[1])):
-            for k in range(count):
-                words[table + k] = base + 8 * offset
-                offset += size(k)
+        memory = np.zeros(places[3] + max(1, numbers))
+        words, address = memory.view(np.int64), memory.ctypes.data
+        for sizes, place in ((inputs, places[0]), (outputs, places[1])):
+            for k, size in enumerate(sizes, place):
+                words[k] = address
+                address += 8 * size
         return memory
 
 

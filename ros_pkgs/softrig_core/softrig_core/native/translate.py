@@ -275,6 +275,9 @@ def shape(value: Any) -> Any:
     return tuple(shape(v) for v in value) if isinstance(value, tuple) else type(value)
 
 
+_ATOMS = frozenset({float, int, bool, complex})  # most constants
+
+
 def as_slot(value: Any) -> Any:
     """Return a number or table in the form of native code: lists as tuples.
 
@@ -283,6 +286,8 @@ def as_slot(value: Any) -> Any:
     NotNative
         Something else, or a table that is too long.
     """
+    if type(value) in _ATOMS:
+        return value
     if isinstance(value, (bool, complex, int)):
         return value
     if isinstance(value, (float, np.floating)):

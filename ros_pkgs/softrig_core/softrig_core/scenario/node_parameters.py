@@ -9,7 +9,7 @@ from typing import Any
 from ..block.block import Block
 from ..block.params import FromFiles, ParameterError, build
 from ..errors import ScenarioError
-from ..kit.newest import shared
+from ..kit.newest import once_for_objects, shared
 from .references import fill_parameters, parameter_of
 from .scenario import Scenario
 
@@ -27,6 +27,18 @@ def parameters(block: type[Block], values: Mapping[str, Any]) -> Any:
     if issubclass(block, FromFiles):
         return build(block.Params, values)
     return shared(build, block.Params, values)
+
+
+@once_for_objects
+def _alone(given: Mapping[str, Any]) -> bool:
+    """Return whether parameters of a node refer to none of another one."""
+    return "$" not in str(given)
+
+
+@once_for_objects
+def _own(block: type[Block], given: Mapping[str, Any]) -> Any:
+    """Build parameters that refer to none of another node: runs of a study share those of all nodes but the changed."""
+    return parameters(block, fill_parameters(given, lambda node, name: None))
 
 
 class NodeParameters:
@@ -49,16 +61,20 @@ class NodeParameters:
                 f"{context}: parameters refer to each other through {CHAIN} nodes, from {first} to {last}"
             )
         if name not in self._known:
-            entry = self._scenario.nodes[name]
+            entry, block = self._scenario.nodes[name], self._classes[name]
             self._open.append(name)
-            values = fill_parameters(entry.parameters, self._of)
-            self._open.pop()
             try:
-                self._known[name] = parameters(self._classes[name], values)
+                if _alone(entry.parameters) and not issubclass(block, FromFiles):
+                    self._known[name] = _own(block, entry.parameters)
+                else:
+                    values = fill_parameters(entry.parameters, self._of)
+                    self._known[name] = parameters(block, values)
             except ParameterError as error:
                 wrong = [k for k in entry.parameters if re.search(rf"\bparameter {re.escape(k)}(?![\w.])", str(error))]
                 location = self._scenario.written("nodes", name, "parameters", *wrong[:1])
                 raise ScenarioError(f"{context}: {error}{location}") from None
+            finally:
+                self._open.pop()
         return self._known[name]
 
     def _of(self, node: str, parameter: str) -> Any:

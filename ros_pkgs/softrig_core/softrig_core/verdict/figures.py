@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError, create_model
 
-from ..block.params import ParameterError, flatten
+from ..block.params import BlockParams, ParameterError, flatten
 from ..block.port import CLOCK
 from ..entry import Entry
 from ..errors import ScenarioError, closest
-from ..judge.claims import NEVER
+from ..judge.claims import NEVER, Claim
 from ..judge.expectation import Expectation
 from ..judge.expression import number, references
 from ..judge.measures import (
@@ -37,7 +37,7 @@ from ..judge.measures import (
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
 from ..kit.file_format import json_of
-from ..kit.newest import once_for_objects
+from ..kit.newest import Kept, of_these, once_for_objects
 from ..rig.agreement import agreed_values, agreeing, shown
 from ..rig.code import is_ours
 from ..rig.members import Members, signal_units
@@ -52,6 +52,7 @@ from .result import DECIDED, Result
 MOST = 1e300
 SIGNALS = ("signal", "reference", "final", "initial")  # arguments that name a signal, if they are a word
 NONE = Expectation()
+HOLDS = Expectation(at_least=0.0)  # what is expected of the margin of a requirement
 STEP = ("final", "initial")  # of these, those of a step
 
 
@@ -93,7 +94,10 @@ class Figure:
             There was no step yet, or there is nothing to measure at it.
         """
         args = dict(self.arguments)
-        if {str} & {type(args.get(name)) for name in STEP}:
+        steps = any(isinstance(args.get(name), str) for name in STEP)
+        if not (steps or self.since):
+            return self
+        if steps:
             final, initial = step_levels(signals, args.get("final"), args.get("initial", 0.0), args.get("start"))
             args |= {"final": final, "initial": initial}
         if not self.since:
@@ -202,7 +206,13 @@ def _unit(
 
 def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
     """Return the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
-    return {signal for f in figures for name in f.reads for signal in _called(name, units)}
+    figures = list(figures)
+    return of_these(
+        _read, (units, *figures), lambda: {s for f in figures for name in f.reads for s in _called(name, units)}
+    )
+
+
+_read: Kept[set[str]] = {}
 
 
 def _called(name: str, units: Mapping[str, str]) -> Iterable[str]:
@@ -265,14 +275,11 @@ def evaluate(
     under_way : bool
         Whether the run continues: `Result.settled` is then set.
     """
-    published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
-    results = []
+    scenario, results = rig.scenario, []
     for figure in figures_of(rig) if figures is None else figures:
-        required = figure.name in rig.scenario.requirements
-        limits = rig.scenario.expect.get(figure.name, Expectation(at_least=0.0) if required else None)
-        about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
-        about |= {key: getattr(limits or NONE, key) for key in ("expected", "tolerance", "at_most", "at_least")}
-        about["follows"] = follows(figure, limits)
+        required = figure.name in scenario.requirements
+        limits = scenario.expect.get(figure.name, HOLDS if required else None)
+        about = {**_about(figure, limits, scenario.claims)}
         about["settled"] = under_way and isinstance(figure.function, Judge) and figure.function.settled(signals)
         impossible = False
         try:
@@ -299,6 +306,19 @@ def evaluate(
     return results
 
 
+@once_for_objects
+def _about(figure: Figure, limits: Expectation | None, claims: Mapping[str, Claim]) -> Mapping[str, Any]:
+    """Return what of a result is known before the run."""
+    published = {c.figure or key: c.published for key, c in claims.items() if c.published is not None}
+    return {
+        "name": figure.name,
+        "unit": figure.unit,
+        "published": published.get(figure.name),
+        "follows": follows(figure, limits),
+        **{key: getattr(limits or NONE, key) for key in ("expected", "tolerance", "at_most", "at_least")},
+    }
+
+
 def follows(figure: Figure, limits: Expectation | None) -> bool:
     """Return whether the expectation of a figure applies to a changed machine, too."""
     if isinstance(figure.function, Judge):
@@ -314,11 +334,16 @@ def changed_from(rig: Members) -> str:
         node, _, name = key.partition(".")
         # The parameter may have no default, or belong to a node that is not in this rig; then only its name is written.
         with suppress(ParameterError, ValueError, KeyError):
-            before = pick(flatten(type(params[node])()), name) if before is None else before
+            before = pick(_defaults(type(params[node])), name) if before is None else before
             if before == pick(flatten(params[node]), name):
                 continue
         parts.append(key if before is None else f"{key} = {shown(before)}")
     return ", ".join(parts)
+
+
+@cache
+def _defaults(kind: type[BlockParams]) -> Mapping[str, Any]:
+    return flatten(kind())
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -103,6 +104,7 @@ class Columns(NamedTuple):
         return Columns(self.times[first:last], self.values[first:last], self.layout)
 
 
+@lru_cache(maxsize=256)
 def row_type(width: int) -> np.dtype[Any]:
     """Return the form of a row in a shard: its time in ns, the mark of a row, and its numbers."""
     return np.dtype([("t", "<i8"), ("mark", "<u2"), ("values", "<f8", (width,))])

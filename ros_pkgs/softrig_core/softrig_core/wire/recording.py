@@ -316,13 +316,13 @@ class Recording:
         buffer, pack = bytearray(), _row_packer(layouts.values())
         # References are weak: a cycle through `settle` would hold the memory until the garbage collector runs.
         topics = [(weakref.ref(self._order[number]), layout) for number, layout in layouts.items()]
+        kind = row_type(sum(layout.size for layout in layouts.values()))
 
         def settle() -> None:
             if buffer:
-                content = bytes(buffer)
+                rows = np.frombuffer(bytes(buffer), kind)
                 buffer.clear()
-                block = _rows_in(memoryview(content), sum(layout.size for _, layout in topics))
-                _add_rows(block, [(topic(), layout) for topic, layout in topics])
+                _add_rows(rows, [(topic(), layout) for topic, layout in topics])
 
         def add(t: int, values: Sequence[float]) -> None:
             buffer.extend(pack(t, _ROW, *values))
@@ -462,10 +462,10 @@ class Recording:
         offset, size = 0, _RECORD.size
         while offset + _ROW_HEAD.size <= len(content):
             if _ROW_HEAD.unpack_from(content, offset)[1] == _ROW:
-                block = _rows_in(content[offset:], sum(layout.size for _, layout in row))
-                used = block.nbytes
+                rows = _rows_in(content[offset:], sum(layout.size for _, layout in row))
+                used = rows.nbytes
                 if callback is None:
-                    _add_rows(block, row)
+                    _add_rows(rows, row)
                 elif used:
                     callback(offset, used)
                 offset += used
@@ -531,19 +531,18 @@ def _row_packer(layouts: Iterable[Layout]) -> Callable[..., bytes]:
     return struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in layouts)}d").pack
 
 
-def _rows_in(content: memoryview, width: int) -> NDArray[np.uint8]:
-    """Return the whole rows at the beginning of some bytes, shape (n, bytes of a row)."""
-    length = row_type(width).itemsize
-    block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
-    # These two bytes of a row are its mark; anything else there begins a record of another kind.
-    odd = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
-    return block[: odd[0]] if odd.size else block
+def _rows_in(content: memoryview, width: int) -> NDArray[Any]:
+    """Return the whole rows at the beginning of some bytes, shape (n,), see `row_type`."""
+    kind = row_type(width)
+    rows = np.frombuffer(content, kind, len(content) // kind.itemsize)
+    # Anything else in the place of the mark begins a record of anodd kind.
+    odd = np.flatnonzero(rows["mark"] != _ROW)
+    return rows[: odd[0]] if odd.size else rows
 
 
-def _add_rows(block: NDArray[np.uint8], row: Sequence[tuple[Topic | None, Layout]]) -> None:
+def _add_rows(rows: NDArray[Any], row: Sequence[tuple[Topic | None, Layout]]) -> None:
     """Add the messages of some rows to their topics."""
-    times = np.ascontiguousarray(block[:, :8]).view("<i8")[:, 0]
-    values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
+    times, values = np.ascontiguousarray(rows["t"]), np.ascontiguousarray(rows["values"])
     first = 0
     for topic, layout in row:
         # The topic may be gone with its recording, as the reference is weak.

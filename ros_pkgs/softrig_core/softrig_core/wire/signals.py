@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Self
 
@@ -91,9 +91,12 @@ def short_name(name: str, known: Iterable[str]) -> str:
     return short if full_name(short, known) == name else name
 
 
-def topic_of(name: str, topics: Iterable[str]) -> str:
+def topic_of(name: str, topics: Container[str]) -> str:
     """Return the topic of a signal; empty if no topic has it."""
-    return max((t for t in topics if name.startswith(f"{t}/")), key=len, default="")
+    topic = name.rpartition("/")[0]
+    while topic and topic not in topics:
+        topic = topic.rpartition("/")[0]
+    return topic
 
 
 class Signals(Mapping[str, Signal]):
