@@ -211,7 +211,9 @@ def test_random_draws_are_the_stream_and_the_newest_rows_are_cached(monkeypatch)
     again = Draws(lambda: counted.append(Counted()) or counted[-1], "random")
     assert [again(3), again.first(10).tolist()] == [wanted[3], wanted[:10].tolist()]
     assert again(SIZE) == wanted[SIZE]
-    assert (len(counted), counted[2].rows) == (3, 1)
+    assert (len(counted), counted[2].rows) == (3, 0)
+    assert again(2 * SIZE) == wanted[2 * SIZE]
+    assert counted[2].rows == 1
     assert Draws(lambda: np.random.default_rng(6), "random")(3) == np.random.default_rng(6).random(4)[3]
 
 
