@@ -3,10 +3,12 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 from conftest import PACKAGE
 from softrig_bringup.cli import FOREIGN, SCRIPT, VERBS, main
 
+ROOT = Path(__file__).parents[2]
 # Libraries that no verb below needs.
 HEAVY = (
     "asyncio", "bokeh", "casadi", "llvmlite", "matplotlib", "numba", "numpy.f2py", "optuna", "pandas", "pinocchio",
@@ -69,7 +71,11 @@ def test_a_verb_loads_only_what_it_needs(tmp_path):
 
 def test_help_of_any_verb_loads_no_library(tmp_path):
     verbs = VERBS - SCRIPT.keys() - {words.split()[0] for words in FOREIGN}
-    calls = [(["--help"], NONE), *(([verb, "--help"], NONE) for verb in sorted(verbs))]
+    # scripts/softrig keeps the text of a help until a file of these folders is newer.
+    kept = ("softrig_core", "kit", "softrig_bringup", "options", "pack", "study", "verbs")
+    rooms = [f.parent for f in ROOT.glob("ros_pkgs/*/softrig_*/**/__init__.py") if f.parent.name not in kept]
+    others = tuple(".".join(room.relative_to(ROOT).parts[2:]) for room in rooms)
+    calls = [(words, NONE + others) for words in (["--help"], *([verb, "--help"] for verb in sorted(verbs)))]
     assert started(calls, tmp_path)[-1][0] <= 135
 
 

@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,20 @@ def test_a_python_with_the_wheels_of_ros_starts_once_and_other_programs_do_not_s
     assert path("env", "printenv", "LD_LIBRARY_PATH") == ["/mine"]
     wheels_are_used = "ros_rclpy" in "".join(wheels) or "ROS_DISTRO" in user
     assert wheels_are_used
+
+
+def test_help_is_kept_until_a_file_that_makes_it_is_newer():
+    kept = Path(sys.prefix).parent / ".ws" / "help" / "71 report --help"
+
+    def printed():
+        command, wide = [SOFTRIG, "report", "--help"], os.environ | {"COLUMNS": "71"}
+        return subprocess.run(command, env=wide, capture_output=True, text=True, check=True).stdout
+
+    kept.unlink(missing_ok=True)
+    text = printed()
+    assert text.startswith("usage: softrig report")
+    assert kept.read_text() == text
+    kept.write_text("kept\n")
+    assert printed() == "kept\n"
+    os.utime(kept, (0, 0))
+    assert printed() == text
