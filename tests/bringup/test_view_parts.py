@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from conftest import PATIENCE, few
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.view import remote, run_pages as run_pages_module, serve, show_here as here_module, sources
+from softrig_bringup.view import here as here_module, remote, run_pages as run_pages_module, serve, sources
 from softrig_bringup.view.control import Control
 from softrig_bringup.view.here import SessionSource, show_here
 from softrig_bringup.view.run_pages import RunPages, page

@@ -125,7 +125,7 @@ def marked(phase: str, duration: float, marks: int, go_read: int, go: int) -> No
         before("softrig_nodes.processes.processes.supervise")
     elif phase == "loop":
         half = duration / 2 * SECOND
-        before("softrig_bringup.view.here.Here._step", lambda page: page.session.t > duration / 2)
+        before("softrig_bringup.view.here.SessionSource._step", lambda page: page.session.t > duration / 2)
         verb: Any = import_module(VERB)
         progress = verb.progress
 
