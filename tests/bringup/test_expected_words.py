@@ -5,6 +5,7 @@ As `tests/expected/words*.txt` have them.
 
 import argparse
 import re
+import shlex
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -267,7 +268,7 @@ def test_a_run_is_named_changed_and_repeated_as_expected(monkeypatch):
         messages.append(f"run {text}")
         messages.append(f"  changed: {run_options.changed_words(options)}")
         messages.append(f"  folder: {run_options.folder_name('x', options)}")
-        messages.append(f"  again: {repeating.joined(run_options.repeat(options))}")
+        messages.append(f"  again: {shlex.join(run_options.repeat(options))}")
         placement = run_options.placement_of(options)
         messages.append(
             f"  where: {placement}, domain {placement.domain}, wait {placement.wait}, restart {placement.restart}"
