@@ -72,7 +72,7 @@ def test_a_bag_that_lacks_only_its_metadata_is_restored_completely(tmp_path, suf
     assert read_bag(tmp_path / "bag").topics == source.topics
 
 
-def test_of_a_compressed_and_an_uncompressed_file_the_uncompressed_one_is_complete(tmp_path):
+def test_an_uncompressed_file_beside_a_truncated_compressed_one_is_read(tmp_path):
     """rosbag2 was killed while it compressed the file."""
     source = recording(2000)
     file = write(tmp_path / "bag", source, CompressionMode.FILE, ".mcap")

@@ -316,7 +316,7 @@ def test_wrong_metadata_is_reported_and_written_again(tmp_path, capsys):
     assert (tmp_path / "bag/metadata.yaml").read_text() == text
 
 
-def test_of_a_node_that_died_and_a_restarted_one_the_longer_recording_is_saved(tmp_path):
+def test_the_longer_recording_of_a_dead_node_and_its_replacement_is_saved(tmp_path):
     (tmp_path / "run/log").mkdir(parents=True)
     for file, count in (("a.shard", 2), ("a.shard.died", 9), ("b.shard", 5), ("b.shard.died", 3), ("c.shard.died", 1)):
         shard = ShardWriter(tmp_path / "run/log" / file, [(file[0], "std_msgs/msg/Empty")])

@@ -284,7 +284,7 @@ def test_played_topics_are_renamed_and_have_types_that_are_installed(monkeypatch
         Publishers(world, odd, odd.topics, {})
 
 
-def test_of_two_types_on_a_topic_one_is_played_and_bytes_that_ros_rejects_are_counted(monkeypatch):
+def test_one_of_two_types_on_a_topic_is_played_and_bytes_that_ros_rejects_are_counted(monkeypatch):
     world = World(monkeypatch)
     bag = Bag([("/a", HEADER), ("/a", TEXT)], [(0, 0, b"it"), (1, 0, b"other"), (0, MS, b"bad"), (0, 2 * MS, b"end")])
     publishers = Publishers(world, bag, bag.topics[:1], {})

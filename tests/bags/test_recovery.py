@@ -60,7 +60,7 @@ def chunk_parts(content, begin):
     return begin + 40 + letters, length
 
 
-def test_of_a_truncated_file_all_whole_messages_before_the_cut_remain(tmp_path, monkeypatch):
+def test_all_whole_messages_of_a_truncated_file_remain(tmp_path, monkeypatch):
     content = whole(tmp_path / "bag", monkeypatch).read_bytes()
     ends, stretches = [], []  # of messages; of records: where each begins and ends, and whether it is a chunk
     for code, at, begin, end in records(content, 8):

@@ -141,7 +141,7 @@ def test_a_held_signal_continues_to_the_end_of_the_run_and_a_measured_one_does_n
     [("reference", True), ("set point of it", True), ("its reference", True), ("its set point", True),
      ("a reference frame", False), ("preference", False), ("", False)],
 )  # fmt: skip
-def test_a_label_says_that_a_signal_is_a_reference(lag, label, reference):
+def test_a_label_marks_a_signal_as_a_reference(lag, label, reference):
     result = Source(recorded(lag_state=("x/position", [0.0], [1.0])), lag).curve(X, label)
     assert result.reference == reference
 

@@ -215,7 +215,7 @@ def test_figures_of_nodes_and_values_of_parameters_are_written_with_their_units(
 
 
 @pytest.mark.parametrize(("n", "wide"), [(1, False), (6, True)])
-def test_a_diagram_wider_than_a_phone_says_that_it_scrolls(n, wide):
+def test_a_diagram_wider_than_a_phone_has_a_note_that_it_scrolls(n, wide):
     nodes = {
         f"node_{k}": {"executable": "p/node", "period": 0.01, "plant": k == n - 1, "outside": k == 0} for k in range(n)
     }
@@ -417,7 +417,7 @@ def test_papers_are_printed_with_their_location():
     assert shown[1] == shown[3] == "<details><summary>BibTeX</summary><pre>@x{k}</pre></details>"
 
 
-def test_of_two_bibtex_entries_with_one_key_the_first_folders_counts_and_a_wrong_file_is_named(tmp_path, monkeypatch):
+def test_the_first_of_two_bibtex_entries_with_one_key_is_used_and_a_wrong_file_is_named(tmp_path, monkeypatch):
     entry = "@book{{k, author = {{Noël, Ada}}, title = {{{}}}, year = 2020, publisher = {{P}}}}\n"
     folders = [tmp_path / name for name in ("one", "two", "none")]
     for folder in folders[:2]:

@@ -106,7 +106,7 @@ def test_spaces_around_the_equals_sign_do_not_matter():
             settings([text])
 
 
-def test_a_folder_of_runs_stands_for_its_runs(tmp_path, monkeypatch):
+def test_a_folder_of_runs_is_read_as_its_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for k in (1, 2):
         words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots"]

@@ -345,7 +345,7 @@ def test_a_table_of_changes_is_shown_if_something_was_changed():
     assert list(_changes(SimpleNamespace(changes=[], units={}))) == []
 
 
-def test_of_many_intervals_the_first_are_written():
+def test_the_first_of_many_intervals_are_written():
     pairs = [(0.0, 1.0), (2.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
     assert spans(pairs[:3]) == "from 0 to 1 s, at 2 s, from 3 to 4 s"
     assert spans(pairs) == "from 0 to 1 s, at 2 s, from 3 to 4 s and 1 times more, to 6 s"

@@ -521,7 +521,7 @@ def test_figures_are_computed_and_inconsistencies_reported(place, change, text, 
         (lambda t: "{}", "metrics.json: scenario: field required"),
     ],
 )
-def test_metrics_that_cannot_be_read_are_said_beside_the_result(change, text, sent, tmp_path, capsys):
+def test_metrics_that_cannot_be_read_are_listed_beside_the_result(change, text, sent, tmp_path, capsys):
     """The run is repeated all the same: its numbers are compared with the bag."""
     file = zipped(tmp_path / "x.zip", forged(sent, "metrics.json", change))
     assert main(["report", str(file), "--out", str(tmp_path / "r.html")]) == 2

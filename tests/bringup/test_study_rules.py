@@ -242,7 +242,7 @@ def test_a_row_has_its_keys_of_their_types(change, right):
     assert row_of(b"{") is None
 
 
-def test_a_log_knows_its_rows_and_reports_a_number_of_another_run(tmp_path):
+def test_a_log_lists_its_rows_and_refuses_a_number_with_other_parameters(tmp_path):
     log = Log(tmp_path / "rows", 3)
     log.add(of_case(1, 2.0))
     assert (len(log), log.knows(case(1, 2.0)), log.knows(case(0))) == (1, True, False)
@@ -561,7 +561,7 @@ def test_a_verdict_is_in_words_or_a_mark_if_it_does_not_hold(page_of, verdict):
 
 
 @pytest.mark.parametrize("most", [2, 3])
-def test_a_page_lists_the_first_runs_and_says_so(page_of, monkeypatch, most):
+def test_a_page_lists_the_first_runs_and_notes_that_there_are_more(page_of, monkeypatch, most):
     monkeypatch.setattr(page, "LONGEST", most)
     lines = page_of([row(k, figures={"f": 1.0 * k}) for k in range(3)])
     assert sum(line.startswith(tuple(f"tr: {k} |" for k in range(3))) for line in lines) == most

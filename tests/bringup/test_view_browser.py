@@ -120,7 +120,7 @@ def test_a_person_uses_the_page_of_the_induction_motor(tmp_path, capsys, pace):
 
 
 @pytest.mark.long
-def test_a_page_whose_server_is_killed_comes_back_and_the_run_continues(tmp_path):
+def test_a_page_whose_server_is_killed_is_restarted_and_the_run_continues(tmp_path):
     with running("view", "dc_motor_smc_b2", "--no-plots", "--out", tmp_path / "run") as process:
         browser = Chromium(address(process))
         try:
@@ -142,7 +142,7 @@ def test_a_page_whose_server_is_killed_comes_back_and_the_run_continues(tmp_path
 
 
 @pytest.mark.long
-def test_a_person_goes_back_and_continues_with_another_gain(tmp_path, capsys):
+def test_a_run_is_rewound_and_continued_with_another_gain(tmp_path, capsys):
     """In process: the branch equals what `run --from` makes of it, byte for byte; the run that had ended stays."""
     out = tmp_path / "run"
     arguments = ("view", "dc_motor_smc_b2", "--mode", "inprocess", "--pace", "full", "--duration", 1, "--no-plots")

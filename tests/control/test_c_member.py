@@ -139,7 +139,7 @@ def test_native_code_calls_it_by_its_address(monkeypatch: pytest.MonkeyPatch, ma
     assert broken.given_up == 1
 
 
-def test_it_goes_back_branches_and_accepts_live_changes() -> None:
+def test_a_c_member_is_rewound_branched_and_changed_live() -> None:
     for parameters in (PI, faulty("STATIC")):
         plain, back = Session(rig_with(parameters)), Session(rig_with(parameters))
         plain.go(0.5)

@@ -52,7 +52,7 @@ def node():
 
 
 @pytest.mark.parametrize("name", uses.USES)
-def test_a_use_works_here_and_a_changed_one_falls_back(name, monkeypatch):
+def test_a_private_use_of_a_library_works_and_a_changed_one_falls_back(name, monkeypatch):
     uses.works.cache_clear()
     assert uses.works(name)
     use = uses.USES[name]

@@ -398,7 +398,7 @@ class Counting(Block[Every]):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_block_that_goes_back_is_as_it_was(seed):
+def test_a_rewound_block_has_its_earlier_state(seed):
     """Ticks, changes, dropped ticks, going back: against an independent list of states."""
     rng, node, kept = random.Random(seed), ByHand(Counting()), []
     count, gain, own, reports = 0, 0.4, 0.4, {}

@@ -218,7 +218,7 @@ def test_a_missing_package_and_a_tool_are_refused():
         load_block("nothing", "x")
 
 
-def test_in_process_there_is_one_message_a_tick_and_runs_repeat(lag_rig):
+def test_a_run_in_process_has_one_message_a_tick_and_repeats(lag_rig):
     first, second = in_process(lag_rig, 3), in_process(lag_rig, 3)
     assert {n: len(t.times) for n, t in first.topics.items() if t.times} == {
         "/clock": 101,

@@ -102,7 +102,7 @@ def test_locks_of_the_living_and_those_of_others_stay(looks, tmp_path):
     assert [looks(), looks()] == [0, 1]
 
 
-def test_looks_that_follow_at_once_are_one_look(tmp_path):
+def test_checks_in_quick_succession_are_one_check(tmp_path):
     path = port(tmp_path, of_domain(DOMAIN)[11])
     os.waitpid(locked(path, MUTEXES[1], dies=True), 0)
     locks = DeadLocks(tmp_path)
@@ -125,7 +125,7 @@ sys.stdin.read()
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore:This process")  # of a fork beside the threads of Fast DDS
-def test_a_writer_to_a_dead_reader_that_held_its_port_goes_on(tmp_path):
+def test_a_writer_to_a_dead_reader_that_held_its_port_continues(tmp_path):
     """Without `DeadLocks` each message to it takes 1 s, until its lease ends."""
     import rclpy
     from conftest import ears

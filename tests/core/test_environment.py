@@ -338,7 +338,7 @@ def test_only_registered_policies_are_found(monkeypatch):
         Policy(weights=(1.0, 2.0, 3.0))
 
 
-def test_a_policy_goes_back_with_its_memory(monkeypatch):
+def test_a_policy_is_rewound_with_its_memory(monkeypatch):
     def make(weights, observations, actions):
         total, rows = 0.0, [0.0]
 

@@ -85,7 +85,7 @@ def short():
     return Session("dc_motor_smc", duration=0.1)
 
 
-def test_going_back_and_on_with_other_gains_equals_the_run_with_them_from_there_on():
+def test_a_rewound_run_with_other_gains_equals_one_that_changes_them_at_that_time():
     session = short()
     session.go()
     assert (session.over, session.t) == (True, 0.1)
@@ -130,7 +130,7 @@ def test_a_branch_does_not_change_its_run():
     assert session.recording.topics != earlier_branch.recording.topics
 
 
-def test_of_many_ticks_few_states_are_stored_and_any_tick_is_reached(monkeypatch):
+def test_few_states_of_many_ticks_are_stored_and_any_tick_is_reached(monkeypatch):
     monkeypatch.setattr(module, "KEPT", 4)
     session = short()
     session.set({"dc_motor_smc.delta": 0.6})  # at a tick whose state has just been stored
@@ -257,7 +257,7 @@ def test_changes_of_the_scenario_itself_stay():
     assert run.branch(0.05, SOFTER).recording.topics == simulate(scenario.having(changes=with_mine)).recording.topics
 
 
-def test_a_branch_of_another_run_says_where_they_differ():
+def test_a_branch_of_another_run_reports_where_the_runs_differ():
     run = simulate("dc_motor_smc", duration=0.1)
     other = simulate("dc_motor_smc", duration=0.1, overrides={"dc_motor_smc.delta": 0.5})
     other.rig = run.rig

@@ -620,7 +620,7 @@ def test_a_controller_that_receives_nothing_from_a_present_node_reports_it_every
 # ---- several publishers of one topic ----
 
 
-def test_of_two_writers_one_is_accepted_after_it_alone_has_published_without_a_gap():
+def test_a_second_writer_is_accepted_after_it_alone_has_published_without_a_gap():
     """Each message: number, time, whether a writer is accepted after it; a gap counts from 10 on."""
     for text in (
         [(5, 0, False), (6, 10, False), (7, 11, True), (8, 12, True)],
@@ -643,7 +643,7 @@ def test_of_two_writers_one_is_accepted_after_it_alone_has_published_without_a_g
         assert rivals.alone
 
 
-def test_of_two_controllers_of_a_plant_neither_is_accepted_until_one_has_been_silent_for_a_second():
+def test_neither_of_two_controllers_is_accepted_until_one_has_been_silent_for_a_second():
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     row = node.rows["command"]
@@ -741,7 +741,7 @@ def test_a_message_of_a_sporadic_sender_is_valid_before_its_tick_is_acknowledged
     assert SEEN[-1] == (20 * MS, 1.0, 7.0, None, 0)
 
 
-def test_a_rig_begins_when_the_acknowledging_node_is_there_too():
+def test_a_rig_begins_when_the_acknowledging_node_has_joined_too():
     links = {
         "base": "0.01",
         "inputs": {"a": linked(), "b": linked(sporadic=True, reports_silence=True)},

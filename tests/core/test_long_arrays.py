@@ -67,7 +67,7 @@ def test_the_first_of_equal_extremes_counts_and_no_number_is_an_extreme():
     assert np.isnan(far(x).max())
 
 
-def test_a_place_that_is_not_there_is_an_error():
+def test_a_place_that_does_not_exist_is_an_error():
     for wrong in (N, -N - 1, np.array([0, N])):
         with pytest.raises(IndexError):
             far(X)[wrong]

@@ -1398,7 +1398,7 @@ def changed(program: Program, name: str, value: Any) -> Owner:
     return other
 
 
-def test_a_text_that_another_block_shares_gives_what_its_python_gives() -> None:
+def test_native_code_shared_with_another_block_returns_the_values_of_its_python() -> None:
     """Whatever differs in that block is passed in, or the text is refused for it."""
     shared = refused = 0
     for case in EACH:

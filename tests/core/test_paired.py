@@ -197,7 +197,7 @@ def test_a_tick_uses_the_newest_message_up_to_it_and_waits_for_it(seed, period, 
     assert not reader.failures
 
 
-def test_of_a_faster_sender_only_the_needed_message_is_used_whatever_came_before():
+def test_only_the_needed_message_of_a_faster_sender_is_used():
     reader = Reader("0.03", inputs={"x": link("0.01")})
     row = reader.row(state())
     for stamp in (0, 10, 20):
@@ -699,7 +699,7 @@ def test_at_the_first_ticks_the_timeout_is_that_of_a_start():
         (0.6, {"links": "", "duration": 1.0}, "nothing stamped t = 0.05 s within 0.6 s on x from sender (gone)"),
     ],
 )
-def test_a_sender_that_said_goodbye_ends_a_node_started_alone_in_order(seconds, options, end):
+def test_a_sender_that_has_left_ends_a_node_started_alone_without_an_error(seconds, options, end):
     reader, row, stalls = stands(**options)
     row.outside = 0
     assert after(reader, stalls, seconds) == end
@@ -707,7 +707,7 @@ def test_a_sender_that_said_goodbye_ends_a_node_started_alone_in_order(seconds, 
         assert reader.middleware.logs == ["OK x: the sender has left at t = 0.05 s, and this node with it"]
 
 
-def test_of_several_senders_only_the_missing_one_is_named():
+def test_only_the_missing_one_of_several_senders_is_named():
     reader, row, stalls = stands()
     other = reader.row(state("y"))
     other.outside = 0

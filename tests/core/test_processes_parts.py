@@ -320,7 +320,7 @@ def test_a_node_is_passed_its_changed_parameters_and_how_it_runs(tmp_path):
     assert yaml.safe_load(file.read_text()) == {"/**": {"ros__parameters": parameters["plant"]}}
 
 
-def test_of_a_node_that_dies_twice_the_longer_recording_is_kept(tmp_path):
+def test_the_longer_recording_of_a_node_that_dies_twice_is_kept(tmp_path):
     stem, shard, died = tmp_path / "a", tmp_path / "a.shard", tmp_path / "a.shard.died"
     spawning._keep_record(stem)
     assert not died.exists()

@@ -394,7 +394,7 @@ def test_a_restarted_node_rejoins_also_after_the_clock_was_set(step):
     assert not any("stale" in key for key in run.adapters["source"].step.reports)
 
 
-def test_of_reordered_commands_the_newest_stamp_counts_and_the_others_are_counted():
+def test_the_newest_of_reordered_commands_is_used_and_the_others_are_counted():
     """Three commands at a time, by a controller with stamps of its own, in reverse; and each one twice."""
     rig = basic(1.0)
     world = World()
@@ -463,7 +463,7 @@ def test_the_replacement_of_a_killed_controller_is_accepted_after_a_long_silence
 
 
 @pytest.mark.parametrize("at", [3500, 4500, 9000])  # before it is believed; it has sent fewer, and more
-def test_of_two_publishing_controllers_neither_is_ever_accepted(beside_a_dead_law, at):
+def test_neither_of_two_publishing_controllers_is_ever_accepted(beside_a_dead_law, at):
     """The first one was stopped, not killed: at its first message the other one is no longer accepted, either."""
     run, speak = beside_a_dead_law
     row = run.adapters["plant"].inputs[0]

@@ -175,7 +175,7 @@ def test_even_times_are_computed_and_others_are_read(tmp_path):
         shards.remove()
 
 
-def test_columns_on_the_disk_stay_there(tmp_path, monkeypatch):
+def test_columns_on_the_disk_are_not_read_into_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "HELD", 0)
     shards = Shards(tmp_path, TOPICS)
     values = np.arange(9.0 * SIZE).reshape(9, SIZE)
@@ -245,7 +245,7 @@ def test_ticks_around_native_ones_are_joined_without_a_copy_where_there_is_room(
     assert signals["rig/state/x/position"].t.tolist() == (np.arange(4 + len(last)) / 1e8).tolist()
 
 
-def test_a_recording_that_goes_on_after_another_leaves_its_numbers_alone():
+def test_a_recording_that_continues_another_does_not_change_it():
     recording = Recording((name, port.msgtype) for name, port in PORTS.items())
     around(recording, [(7.0, 7.5)])
     name, other = "rig/state/x/position", recording.before(40)
@@ -512,7 +512,7 @@ def test_signals_from_numbers_and_from_bytes_are_the_same():
     assert reported["rig/state/x"] is reported["rig/state/x"]
 
 
-def test_of_many_channels_none_is_lost():
+def test_none_of_many_channels_is_lost():
     """A flag for each number of a row: more than nine are counted right."""
     port, recording = (
         joint_state("a", "wide", [f"x{k}" for k in range(13)], position="m"),

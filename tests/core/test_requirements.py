@@ -131,7 +131,7 @@ def test_a_requirement_that_the_record_cannot_decide_is_not_judged_and_does_not_
     assert result.error == "not judged: the record ends at 1 s, the requirement's last window at 2 s"
 
 
-def test_of_a_record_that_ends_early_the_decided_part_is_judged():
+def test_the_decided_part_of_a_record_that_ends_early_is_judged():
     rig = wired("always[0, 2] state <= 0.3")
     run = simulate(rig)
     result = figure_of(rig, run.signals)

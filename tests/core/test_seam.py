@@ -521,7 +521,7 @@ def test_a_status_file_is_replaced_if_names_cannot_be_exchanged(tmp_path, monkey
     assert os.listdir(tmp_path) == ["a.status"]
 
 
-def test_of_durations_the_median_the_hundredth_longest_and_the_longest_are_reported():
+def test_the_median_the_hundredth_longest_and_the_longest_duration_are_reported():
     assert health.percentiles("x", [], 5) == {}
     for n in (1, 2, 3, 99, 100, 101, 250):
         samples = list(range(1, n + 1))

@@ -472,7 +472,7 @@ def test_a_node_of_figures_knows_what_to_measure_and_how_often():
         assert rig.scenario.nodes["shown"].parameters == parameters
 
 
-def test_a_run_comes_back_from_another_process_whole():
+def test_a_run_is_returned_whole_from_another_process():
     """As joblib and multiprocessing return it."""
     run = simulate(judged(), seed=3)
     back = pickle.loads(pickle.dumps(run))

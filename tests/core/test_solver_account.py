@@ -148,7 +148,7 @@ def test_work_that_fails_ends_a_run(monkeypatch):
         node.update(250_000_000, ask="r")
 
 
-def test_in_real_time_a_tick_uses_what_is_there(monkeypatch):
+def test_a_tick_in_real_time_uses_the_messages_that_have_arrived(monkeypatch):
     node = solver(monkeypatch, 0.2, realtime=True)
     work, tenth = node.block.worker, 100_000_000
     assert node.update(0, ask="a") == (None, False)

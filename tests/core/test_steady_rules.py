@@ -88,7 +88,7 @@ def test_an_unstable_point_is_reported_as_unstable():
 
 
 @pytest.mark.parametrize("gain", [0.2, -0.3])
-def test_a_plant_that_starts_at_rest_has_its_states_there(gain):
+def test_a_plant_that_starts_at_rest_keeps_its_states(gain):
     """x+ = (1 + gain) x - gain from x = 1: only a sum moves, and a ball on a hilltop is not stable."""
     rig = rig_of_curve(lambda x: (gain - 0.0625) * (x - 1.0) - 0.0625, 0.0625)  # the controller adds 0.0625 x
     point = steady(rig, at=0.0)

@@ -137,7 +137,7 @@ def test_code_of_a_block_that_raises_anything_is_named_and_does_not_end_python(w
         run_inprocess(rig_of(scenario, classes={"gain": block}), 0)
 
 
-def test_a_verb_whose_code_ends_python_or_closes_its_output_says_so(monkeypatch, capsys):
+def test_a_verb_whose_code_ends_python_or_closes_its_output_reports_it(monkeypatch, capsys):
     for error, message in (
         (SystemExit(0), "code that `softrig list` called has ended it: SystemExit: 0 ("),
         (None, "standard output: closed by a user's code; the output is lost"),
@@ -155,7 +155,7 @@ def test_a_verb_whose_code_ends_python_or_closes_its_output_says_so(monkeypatch,
         assert capsys.readouterr().err.startswith(f"softrig: {message}")
 
 
-def test_a_thread_that_goes_on_is_not_waited_for():
+def test_a_thread_that_continues_is_not_waited_for():
     text = """if True:
         import sys, threading
         from softrig_core.guard import end_within

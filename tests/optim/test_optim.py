@@ -233,7 +233,7 @@ def operate(v, i, load, d):
 
 
 @pytest.mark.parametrize("maximise", [False, True])
-def test_of_equal_candidates_the_first_is_best(maximise):
+def test_the_first_of_equal_candidates_is_best(maximise):
     search = DifferentialEvolution(LOWER, UPPER, 1, n_pop=5, n_iter=2, maximise=maximise)
     first = search.ask()
     for _ in range(3):

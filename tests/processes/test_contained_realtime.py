@@ -239,7 +239,7 @@ def test_messages_with_an_external_subscriber_are_also_sent(monkeypatch):
     assert not any(data for topic, data in run.carried.items() if topic != "/currents_meas")
 
 
-def test_of_two_writers_none_is_accepted_until_one_has_gone(monkeypatch):
+def test_neither_of_two_writers_is_accepted_until_one_has_left(monkeypatch):
     run = Contained(shortened("induction_dtc", 0.05), monkeypatch)
     controller = run.adapters["dtc_controller"]
     item = next(i for i in controller.inputs if i.name == "currents_meas")

@@ -146,7 +146,7 @@ def replaceable(rig):
 
 @pytest.mark.long  # daily in real time, and a plain plant below
 @pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_plant", "motor_reference"])
-def test_a_plain_node_takes_the_place_of_ours(name, tmp_path):
+def test_a_plain_node_replaces_a_softrig_node(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []
 
 
@@ -156,7 +156,7 @@ def test_a_plain_plant_without_commands_follows_acknowledgements(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_plain_node_takes_the_place_of_each(system, tmp_path):
+def test_a_plain_node_replaces_each(system, tmp_path):
     rig = short(system)
     results = {}
     for name in replaceable(rig):

@@ -366,7 +366,7 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", sta
 
 
 @pytest.mark.long
-def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
+def test_an_outside_controller_replaces_a_softrig_controller(tmp_path):
     """It joins late by construction: it is started only when the rig already waits for it."""
     _, outcome = with_outside_controller("", tmp_path)
     assert outcome.error == ""

@@ -189,7 +189,7 @@ node.create_timer(0.01, send)
 
 
 @pytest.mark.long
-def test_of_two_simultaneous_writers_neither_is_accepted(bench):
+def test_neither_of_two_simultaneous_writers_is_accepted(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")
     bench.start("gain", "gain")
@@ -212,7 +212,7 @@ TAKES_OVER = PUBLISHER.replace("VALUE", "2.0 if said < 100 else 3.0").replace("d
 
 
 @pytest.mark.long
-def test_of_two_publishers_the_one_that_alone_publishes_is_accepted(bench):
+def test_the_only_one_of_two_publishers_that_publishes_is_accepted(bench):
     """The first one stays matched and is silent, as a killed one is for its lease."""
     bench.start("plant", "plant")
     outside(bench, "intruder", TAKES_OVER)

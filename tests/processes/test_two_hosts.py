@@ -184,7 +184,7 @@ def test_a_node_that_does_not_ask_for_other_hosts_is_not_reachable_from_them(var
 
 @pytest.mark.long
 @pytest.mark.parametrize("how", [LOOPBACK, PROFILE, "by hand"])
-def test_a_node_on_another_host_finds_no_node_here(how, tmp_path):
+def test_a_node_on_another_host_finds_no_local_node(how, tmp_path):
     """By the address, which discovery on this host alone would not prevent; with sockets on all interfaces it finds
     one.
     """

@@ -185,7 +185,7 @@ def test_a_time_zone_of_only_one_recorder_is_reported(tmp_path):
 
 
 @pytest.mark.parametrize("slow_first", [True, False])
-def test_of_several_rates_the_fastest_part_is_used_or_the_one_with_the_trigger(tmp_path, slow_first):
+def test_the_part_with_the_fastest_rate_is_used_or_the_one_with_the_trigger(tmp_path, slow_first):
     slow, fast = waves(100, rate=1000.0), waves(400)
     file = File(tmp_path, x=np.vstack([slow, fast] if slow_first else [fast, slow]))
     parts = [("1000", 100), ("4000", 500)] if slow_first else [("4000", 400), ("1000", 500)]

@@ -602,7 +602,7 @@ def test_markers(runs):
 
 
 @pytest.mark.parametrize(("file_format", "apart"), [("float32", 1e-4), ("ascii", 1e-3), ("binary", 2e-3)])
-def test_comtrade_there_and_back(record, tmp_path, file_format, apart):
+def test_comtrade_files_are_read_as_they_were_written(record, tmp_path, file_format, apart):
     best = located(record).x_km
     write_comtrade(tmp_path / "both", record, file_format=file_format)
     both = read_comtrade([tmp_path / "both.cfg"])

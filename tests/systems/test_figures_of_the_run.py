@@ -164,7 +164,7 @@ PUBLISHED = {  # numbers that are the paper's, not the rig's: figures of the sce
 }
 
 
-def test_no_scenario_gives_a_figure_a_number_that_a_node_has():
+def test_no_scenario_repeats_a_number_of_a_node_in_a_figure():
     results = [line for name in list_scenarios() for line in own_numbers(name)]
     assert [line for line in results if not any(line.startswith(name) for name in PUBLISHED)] == []
 
@@ -750,7 +750,7 @@ def test_figures_of_another_module_than_the_plants_are_refused():
         rig_of(scenario.model_copy(update={"figures": {"gmpp": entry}}))
 
 
-def test_an_axis_that_goes_back_rests_at_its_reference():
+def test_an_axis_that_moves_backwards_rests_at_its_reference():
     run = simulate("dc_motor_fsfb", overrides={"step_buttons.forward": [], "step_buttons.reverse": [0.0]})
     assert run.signals["axis/true_state/axis/position"].x[-1] == pytest.approx(-10.0, abs=0.05)
     assert run.figures["rest_error"] <= 0.03

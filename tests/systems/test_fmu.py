@@ -595,7 +595,7 @@ def test_the_log_of_an_fmu_need_not_be_text():
     assert log._log_lines == ["torn \ufffd", "", ""]
 
 
-def test_an_fmu_logs_only_if_the_scenario_says_so(fmus, monkeypatch):
+def test_an_fmu_logs_only_if_the_scenario_sets_it(fmus, monkeypatch):
     from fmpy import simulation
 
     made, asked = simulation.instantiate_fmu, []

@@ -228,7 +228,7 @@ def test_unsupported_operations_are_reported_by_name(exported, tmp_path):
 
 
 @pytest.mark.long
-def test_an_export_goes_back_with_its_state(exported):
+def test_an_export_is_rewound_with_its_state(exported):
     plant = motor(exported)
     assert plant.block.p.unit.serialises
 

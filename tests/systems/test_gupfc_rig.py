@@ -522,7 +522,7 @@ rclpy.spin(node)
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
+def test_a_plain_node_replaces_a_series_controller(tmp_path):
     """It knows only topics, types and stamps; the rig gives the same as with ours."""
     point = operating_point(DeviceParams())
     theta = cmath.phase(point.u4)

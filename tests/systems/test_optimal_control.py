@@ -229,7 +229,7 @@ def test_tables_of_example_3_use_a_frozen_alpha():
         ((-0.8, 0.0), 1.0, 0.41027, 3),
     ],
 )
-def test_of_several_roots_the_cheapest_for_the_plant_is_used(x0, T, J, roots):
+def test_the_root_that_is_cheapest_for_the_plant_is_used(x0, T, J, roots):
     """The nearest root gave 1.172, 1.41, 0.61 and 0.59 in the first four, up to 90 times as much in the plant."""
     problem = TWO_STATE.changed(x0=x0, horizon=T)
     solution = mvim.solve(problem, 2)

@@ -440,7 +440,7 @@ def test_a_margin_by_growth_is_at_the_first_change_of_sign(growth, first):
     assert result.h == pytest.approx(first, abs=1e-6)
 
 
-def test_of_two_margins_by_growth_the_first_is_found():
+def test_the_first_of_two_margins_by_growth_is_found():
     twice = find_margin(lambda h: math.sin(9.0 * h - 3.0), 0.0, 1.0)
     assert twice.h == pytest.approx(1.0 / 3.0, abs=1e-5)
     with pytest.raises(ValueError, match=r"^growth 0 1/s at 0 s and 0 1/s at 0 s: no margin between$"):
