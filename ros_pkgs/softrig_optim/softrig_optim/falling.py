@@ -24,8 +24,8 @@ class FallingCurve:
     """Measurements (v, i) of one source, settled or not, that prove when the source has become another one; a value.
 
     The curve passes above every corner (least v, least i) and below every corner (largest v, largest i) of some
-    measurements in a row: noise and what a fast transient leaves between two of them are inside. A corner of the first
-    kind above one of the second proves a change; of each kind only the outermost are kept.
+    measurements in a row: this covers noise and the effect of a fast transient between two of them. A corner of the
+    first kind above one of the second proves a change; of each kind only the outermost are kept.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class FallingCurve:
         Returns
         -------
         float
-            The share by which it proves the power to have changed.
+            Relative change of the power that the measurement proves.
         FallingCurve
             With the measurement.
         """

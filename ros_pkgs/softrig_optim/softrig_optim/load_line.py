@@ -1,8 +1,8 @@
 """Searches for the largest power of a source through a matching converter, from its voltage and current alone.
 
-The source has a fixed characteristic on which the current never rises with the voltage (a photovoltaic string, a
-fuel cell, a thermoelectric generator). Every measured pair (v, i) lies on it, settled or not, and that is
-all these searches rely on; the load behind the converter is estimated on the way.
+The source has a fixed characteristic on which the current never rises with the voltage (a photovoltaic string, a fuel
+cell, a thermoelectric generator). Every measured pair (v, i) lies on it, settled or not. These searches rely on nothing
+else; they estimate the load behind the converter meanwhile.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ class CertifiedSearch(LoadLineSearch):
     def bound(self) -> float | None:
         """Power in W that no voltage between the outermost samples can exceed; None before both bounds were measured.
 
-        None too where the samples are not of one characteristic: a current that rises with the voltage by more than the
-        gap, seen as power, proves that the source changed, and with it every bound.
+        Also None if the samples are not of one characteristic: a current that rises with the voltage by more than the
+        gap, expressed as power, proves that the source changed, so that no bound holds.
         """
         if not self._spanned or self._contradicted():
             return None

@@ -14,7 +14,7 @@ class Template(forkserver.ForkServer):
     """The fork server of `multiprocessing`, as a copy of this process in place of a new interpreter.
 
     Until `close` the context ``forkserver`` uses it. Its workers share all that this process had imported and compiled
-    when it was made, which must be while there is one thread.
+    when it was made. It must be made while the process has a single thread.
     """
 
     def __init__(self) -> None:

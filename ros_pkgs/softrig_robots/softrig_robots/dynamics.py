@@ -50,10 +50,10 @@ class State(NamedTuple):
 class RobotDynamics(Block[RobotDynamicsParams]):
     """Answers a joint state with everything a model-based law or a check of one needs.
 
-    Notation of pinocchio: M(q) a + bias(q, v) = tau. The bias has damping and friction of the URDF in it. Where joints
-    mimic others, all is that of the joints that follow none: a gripper's two fingers are one joint. The Jacobian is
-    that of the tool with axes of the base (linear rows first). The inverse dynamics take their acceleration from
-    `reference`, zero without one. A query that was refused gets no answer.
+    Notation of pinocchio: M(q) a + bias(q, v) = tau. The bias has damping and friction of the URDF in it. If joints
+    mimic others, all quantities are those of the joints that follow no other: a gripper's two fingers are one joint.
+    The Jacobian is that of the tool with axes of the base (linear rows first). The inverse dynamics use the
+    acceleration of `reference`, or zero without one. A refused query gets no answer.
     """
 
     @classmethod

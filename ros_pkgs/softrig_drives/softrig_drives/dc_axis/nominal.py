@@ -51,7 +51,7 @@ class NominalAxis:
     def __call__(self, x: Nominal, r: float) -> Nominal:
         """Compute the signals of this period, (position, velocity, acceleration, deceleration, jerk), and move on.
 
-        The velocity given is clipped at the speed limit; the jerk is the difference quotient of the acceleration.
+        The returned velocity is clipped at the speed limit; the jerk is the difference quotient of the acceleration.
         """
         motor, (v, y, last, xi, _) = self._motor, x
         xi, u = self._law(xi, r, (v, y), y)

@@ -24,7 +24,7 @@ class SetPoint:
     Parameters
     ----------
     step : float
-        What one press adds or takes, mm.
+        Change by one press, mm.
     report : callable
         `Block.report` of the owner.
     largest : float

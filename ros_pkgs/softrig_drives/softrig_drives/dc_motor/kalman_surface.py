@@ -37,9 +37,9 @@ class State(NamedTuple):
 class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
     """Sliding mode on a filtered speed and w' = (-b w + Kt i - TL)/J.
 
-    The states are (w, i, theta, TL) with TL' = 0; measured are the current and the encoder's angle, taken in the
-    middle of its count (variance count^2/12). The input is the voltage that the bridge really applied, so unlike the
-    paper's law this one knows of the bridge drop, and its surface stays right under load.
+    The states are (w, i, theta, TL) with TL' = 0; measured are the current and the encoder's angle, taken in the middle
+    of its count (variance count^2/12). The input is the voltage that the bridge really applied. Therefore this law,
+    unlike the paper's, takes account of the bridge drop, and its surface stays correct under load.
     """
 
     INPUTS = (SENSORS, APPLIED, REFERENCE)

@@ -49,7 +49,8 @@ class State(NamedTuple):
     """Angle (rad), speed (rad/s), armature current (A); for the rig also the previous values, and the number of the
     tick.
 
-    That is the voltage (V) that the bridge applied over the period before, and the encoder's count at its begin.
+    The previous values are the voltage (V) that the bridge applied over the previous period, and the encoder's count at
+    its begin.
     """
 
     theta: float = 0.0

@@ -59,10 +59,11 @@ class SurfaceControl(SpeedControl[P]):
         u = (a0 w + a1 w' + wd'' + c e' + K sgn(s))/gain               paper eq. (33)
         u = (a0 w + a1 w' + wd'' + c e' + K s/(|s| + delta))/gain      paper eq. (36)
 
-    with wd' = wd'' = 0, because the reference is a constant that may step. On the ideal motor s' = -K sgn(s). Where K
-    follows the reference, a reference of zero keeps the K of the one before, or nothing would brake the motor.
+    with wd' = wd'' = 0, because the reference is a constant that may step. On the ideal motor s' = -K sgn(s). If K
+    follows the reference, a reference of zero keeps the previous K; otherwise nothing would brake the motor.
 
-    The law has no integral: other gains act at the next tick, and the voltage of a switching law may jump at any.
+    The law has no integral: changed gains act from the next tick on, and the voltage of a switching law may jump at
+    every tick.
     """
 
     OUTPUTS = (COMMAND,)
@@ -110,8 +111,8 @@ class DcMotorSmcParams(SurfaceParams):
 class State(NamedTuple):
     """State of the control law.
 
-    Reference (rad/s) and its size that scales K, 0 until there is one other than zero; of the difference of speeds the
-    speed of the tick before (rad/s, None before the first) and w' (rad/s^2).
+    Reference (rad/s) and the magnitude that scales K, 0 until a reference other than zero arrives; for the derivative,
+    the speed of the previous tick (rad/s, None before the first) and w' (rad/s^2).
     """
 
     r: float

@@ -33,9 +33,9 @@ P = TypeVar("P", bound=SpeedControlParams, default=SpeedControlParams)
 class SpeedControl(Block[P]):
     """Base of the speed controllers.
 
-    A law has the reference that it follows in its state, as r, and calls `reference` for the one of this tick. A tick
-    of which something was refused gets 0 V and leaves the state of the law as it is. Another `set_point` counts until
-    a reference arrives; a smaller `reference_limit` leaves the reference that is followed as it is.
+    A law stores the reference that it follows in its state, as r, and calls `reference` for that of the present tick.
+    If an input is refused, the command of this tick is 0 V, and the state of the law stays. A changed `set_point` is in
+    force until a reference arrives. A smaller `reference_limit` does not change the present reference.
     """
 
     def go_on(self, x: Any, before: P) -> Any:

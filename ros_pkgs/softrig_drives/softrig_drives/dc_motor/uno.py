@@ -219,7 +219,7 @@ def built(files: Mapping[str, str], name: str) -> Path:
     Raises
     ------
     ScenarioError
-        There is no compiler, or it refuses the files.
+        There is no compiler, or it reports errors.
     """
     compiler = shutil.which("avr-gcc")
     if compiler is None:

@@ -39,7 +39,7 @@ class VoltageModel:
 
         psi(k+1) = psi(k) + T_s (u(k) - R_s (i(k) + i(k+1))/2)        psi(0) = 0
 
-    With a forward rule for the current the estimate would be off by 7.5e-4 Wb, as much as quantisation makes.
+    With a forward rule for the current the estimate would have an error of 7.5e-4 Wb, as large as that of quantisation.
 
     Parameters
     ----------

@@ -248,7 +248,7 @@ def _same(signals: SignalMap, name: str, t: Array) -> tuple[Places, Places, Arra
     Raises
     ------
     ValueError
-        There is none.
+        There is no common sample.
     """
     indices, both, times = _together(signals[name][0], t)
     if not times.size:

@@ -37,8 +37,8 @@ class ImPlantParams(AdcParams, MachineConstants, BlockParams):
 class State(NamedTuple):
     """Stator and rotor flux linkage in the stator frame (Wb), speed (rad/s), angle (rad).
 
-    Of the inverter the number of its vector, whether the command before was refused, whether it is off for good; of
-    the converters how many samples in a row were beyond the range, and the number of the sample.
+    Inverter: number of its vector, whether the previous command was refused, and whether it is off for the rest of the
+    run. Converters: number of successive samples beyond the range, and number of the sample.
     """
 
     psi_s_alpha: float = 0.0
@@ -65,7 +65,7 @@ class ImPlant(Plant[ImPlantParams]):
     and the previous state held for one period; a second one in a row, or a phase current beyond `trip_current`, is a
     fault: the inverter goes to V0 for good.
 
-    The DC-link voltage and the trip may change while it runs; the load comes by its topic.
+    The DC-link voltage and the trip may change while it runs; the load is set by its topic.
     """
 
     DRAWN_BY = "softrig_drives.induction_dtc.drawing:InductionMotor"

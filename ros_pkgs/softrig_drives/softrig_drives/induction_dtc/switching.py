@@ -65,6 +65,6 @@ def flux_level(level: int, error: float, band: float) -> int:
 def torque_level(level: int, error: float, band: float) -> int:
     """Three-level hysteresis: 1 and -1 beyond +-band, for more and less torque; 0 once the error has changed its sign.
 
-    Else the level before.
+    Otherwise the previous level.
     """
     return 1 if error > band else -1 if error < -band else 0 if level * error <= 0.0 else level

@@ -1,7 +1,7 @@
 """Figure functions of the drive: overshoot and dip of the speed, tracking error, force.
 
-They follow the sign of `v_d`, and the force the direction of the motion: a motion backwards has the figures of its
-mirror image, forces with their own sign.
+Signs refer to that of `v_d`, those of the force to the direction of the motion: a backward motion has the figures of
+its mirror image; forces keep their own sign.
 
 `start` and `end` (s) limit the samples as in `softrig_core.judge.measures`. Of two drives in one rig, `drive` is the
 name before the topics of one (``trapezoid``).
@@ -65,7 +65,7 @@ def peak_force(
 ) -> float:
     """Largest (with `sign` -1: smallest) mean over time of the force over any `width` (s), in N.
 
-    Without `sign` that in the direction of the motion; of a motion both ways that of the larger size.
+    Without `sign`, the peak in the direction of the motion; after a motion in both directions, the larger in magnitude.
     """
     means = _moving_means(signals, _of(drive, FORCE), width, start, end)
     if sign is None:

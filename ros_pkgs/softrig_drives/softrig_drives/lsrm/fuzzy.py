@@ -59,7 +59,7 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
     y is the surface of `softrig_control.fuzzy.TakagiSugeno`. Where the four active rules of Table II are not clipped, y
     is e/K_e + de/K_de exactly: there the law is the PI controller with K_p = K_u/K_de and K_i = K_u/(K_e Ts).
 
-    What it remembers is the force itself, so other factors, terms and rules bring no jump.
+    The state is the force itself, so changed factors, terms and rules cause no jump.
     """
 
     STATE = State

@@ -54,8 +54,8 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
         theta <- theta - Gamma phi eps Ts, within its bounds
         F*  = theta phi, within plus and minus F_max
 
-    theta stays under other weights, rates and bounds (within these); the force then jumps by what k changes of it. The
-    model that k is solved for, (M, C, k_p), is fixed at the start, and theta_0 is where theta began.
+    Changed weights, rates and bounds leave theta as it is, within the bounds; the force then jumps by the effect of the
+    new k. The model for which k is solved, (M, C, k_p), is fixed at the start, and theta_0 is the initial theta.
 
     Lyapunov: V' = -M k eps^2. Chosen; the paper's own baseline (Rahideh, Ketabi, Halvaei Niasar 2020) is not available.
     """

@@ -54,9 +54,9 @@ class LsrmPlantParams(Geometry, Mechanics, BlockParams):
 class LsrmPlant(Plant[LsrmPlantParams]):
     """Four-phase linear switched reluctance motor; see `machine.advance` for the equations.
 
-    The load adds mass at unchanged speed and Coulomb friction. A negative mass or friction is refused, the load before
-    it kept. A phase current beyond `trip_current` is a fault: every phase gets -U_dc until its current is zero, then
-    0 V, for good.
+    The load adds mass at unchanged speed and Coulomb friction. A negative mass or friction is refused, and the previous
+    load stays in force. A phase current beyond `trip_current` is a fault: every phase gets -U_dc until its current is
+    zero, then 0 V, for good.
     """
 
     DRAWN_BY = "softrig_drives.lsrm.drawing:ReluctanceMotor"
@@ -157,7 +157,7 @@ def step(
     Returns
     -------
     tuple (6,)
-        The state then.
+        The state after the period.
     """
     limit, R, M, damping, h, steps, locked = constants
     u = (

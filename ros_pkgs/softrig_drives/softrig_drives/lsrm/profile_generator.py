@@ -42,8 +42,8 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
     """Publishes a speed profile with its position and acceleration; see `profile.Profile`.
 
     Warns when the motor cannot follow (M a + (C + k_p) v beyond F_max somewhere) and when a given distance makes the
-    speed leave the range between 0 and v_d. With other parameters it goes on as if the profile had been that one from
-    the start: the reference steps, unless only what is still to come differs.
+    speed leave the range between 0 and v_d. After a change of parameters it continues as if the new profile had applied
+    from the start: the reference jumps, unless only the future part differs.
     """
 
     OUTPUTS = (REFERENCE,)

@@ -23,7 +23,7 @@ P = TypeVar("P", bound=SpeedControlParams, default=SpeedControlParams)
 class SpeedControl(Block[P]):
     """Base of the speed controllers: speed and reference in, force out.
 
-    A measurement or reference that is refused leaves the law's state alone and holds the force for one period.
+    If a measurement or reference is refused, the law's state stays and the force is held for one period.
     """
 
     INPUTS: ClassVar[tuple[Port, ...]] = (SPEED, REFERENCE)

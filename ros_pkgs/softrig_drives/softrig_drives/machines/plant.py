@@ -200,8 +200,8 @@ class PmsmPlantParams(SynchronousConstants, MachineParams):
 class State(NamedTuple):
     """Currents in rotor coordinates (A), speed (rad/s) and angle (rad) of both masses, DC voltage (V).
 
-    Of the inverter the duty ratios that wait for the next period and those of the period before, whether the carrier
-    falls from its upper peak, whether it has tripped.
+    Inverter: duty ratios that wait for the next period, those of the previous period, whether the carrier falls from
+    its upper peak, and whether it has tripped.
     """
 
     i_d: float = 0.0

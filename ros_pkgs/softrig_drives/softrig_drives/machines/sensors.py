@@ -67,7 +67,7 @@ class ShaftSensor(Block[ShaftSensorParams]):
         Hall      six sectors of the electrical angle
         loop      e = wrapped(angle - theta),  w' = alpha^2 e,  theta' = w + 2 alpha e
 
-    An encoder's angle is what it counts; those of resolver and Hall sensors are the loop's. The speed is the loop's.
+    An encoder's angle is its count; those of resolver and Hall sensors are the loop's. The speed is the loop's.
     """
 
     @classmethod

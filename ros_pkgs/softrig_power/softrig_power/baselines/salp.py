@@ -19,9 +19,9 @@ class SalpSwarm(Population):
         x_i &= (x_i + x_{i-1}) / 2, \quad i \ge 2                                            \quad (7) \\
         c_1 &= 3.2 \exp(-(3.5\, l / L)^2)                                                    \quad (10)
 
-    with F the best position so far (food), c_2 and c_3 uniform in [0, 1], l = 1..L the iteration. The leader
-    is clipped to the box before the followers move, in order, each behind a salp that has already moved: so they
-    never leave the box. One evaluation a salp and iteration, and n_pop before.
+    with F the best position so far (food), c_2 and c_3 uniform in [0, 1], l = 1..L the iteration. The leader is clipped
+    to the box first. Then the followers move in order; the salp ahead of each has already moved, so they never leave
+    the box. One evaluation for each salp and iteration, after n_pop at the start.
 
     Parameters
     ----------

@@ -60,8 +60,7 @@ def buck(rated: Mapping[str, float]) -> Converter:
     Raises
     ------
     ValueError
-        A name that is not asked for, a value that is no number above zero, one that is missing, or values that
-        contradict each other.
+        An unknown name, a value that is not a number above zero, a missing value, or values that contradict each other.
 
     References
     ----------

@@ -33,7 +33,7 @@ class Proof:
     cost, bound : float
         Its cost and the proven lower bound of every dispatch's, $/h.
     nodes : int
-        Boxes looked at.
+        Number of boxes examined.
     """
 
     P: Array
@@ -56,9 +56,9 @@ def branch_and_bound(
     tol : float
         $/h.
     max_nodes : int
-        Most boxes; the bound of those left open counts.
+        Largest number of boxes; the bound includes the boxes that are still open.
     conditions : Conditions, optional
-        Losses, ramps and reserve; P need not meet them then.
+        Losses, ramps and reserve; P need not meet them.
     """
     order, n = units.order, len(units)
     groups = units.groups[order]
@@ -123,8 +123,8 @@ class Boxes(NamedTuple):
 class Relaxed(NamedTuple):
     """The relaxation of one box: middle and half width of each unit, its weight in the balance, its output.
 
-    Then the pieces of all hulls: slope, width, unit, whether it lies where the unit gives less reserve; slope with the
-    reserve's price, and order by it.
+    For the pieces of all hulls: slope, width, unit, whether the unit gives less reserve there, slope with the price of
+    the reserve, and the order by this slope.
     """
 
     centre: Array
@@ -150,10 +150,10 @@ def unit_cost(unit: Any, p: Any) -> Any:
 def chord_excess(unit: Any, x0: Any, x1: Any) -> Any:
     """Bound by how much the chord over [x0, x1], inside one arch, exceeds the cost in $/h.
 
-    With g = F - chord, g'' = 2a - e f^2 |sin|. Where the ripple is weak, next to a valve point, g is convex: it stays
-    positive if it begins so, and else falls at most to -max(g'') w^2/2 = -a w^2, w being the width of that stretch.
-    Where the ripple is strong, g is concave and has no minimum inside. The ripple alone is above its chord, hence never
-    more than that of the parabola, a h^2/4.
+    With g = F - chord, g'' = 2a - e f^2 |sin|. Where the ripple is weak, next to a valve point, g is convex: if it
+    begins positive it stays positive; otherwise it falls at most to -max(g'') w^2/2 = -a w^2, w being the width of that
+    stretch. Where the ripple is strong, g is concave and has no minimum inside. The ripple alone is above its chord,
+    hence never more than that of the parabola, a h^2/4.
     """
     p_min, a, b, e, f = unit[0], unit[2], unit[3], unit[5], unit[6]
     h = x1 - x0
@@ -239,7 +239,7 @@ def _order(values: Any, count: Any, index: Any) -> Any:
 def _fill(relaxed: Relaxed, lack: Any, lower: Any, multiplier: Any) -> Any:
     """Fill pieces by rising slope, per weighted MW, to the balance's lower side, on to its upper where it saves.
 
-    `lack` is what both sides lack and the number of pieces; give the cost and what the lower side lacks then.
+    `lack` has what both sides lack and the number of pieces. Returns the cost and what the lower side still lacks.
     """
     remaining, more_rest, pieces = lack
     _, _, weight, P, slope, width, owner, beyond, priced, by_slope = relaxed
@@ -394,7 +394,7 @@ def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
 def _relax(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed, enough: Any) -> Any:
     """Return the least cost of the relaxation of a box, infinite if it is infeasible, and the error of the balance.
 
-    Write its outputs. With a reserve, its bound is raised until it is `enough`.
+    The outputs of the units are written into `relaxed`. With a reserve, the bound is raised until it reaches `enough`.
     """
     n = relaxed.P.shape[0]
     least, most = problem.demand, problem.demand

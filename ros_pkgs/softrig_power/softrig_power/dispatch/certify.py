@@ -37,7 +37,7 @@ class Dispatch:
     bound : float
         Proven lower bound of every dispatch's cost, $/h; -inf when the method proves nothing.
     price : (float, float)
-        What one MW less saves and one MW more costs, $/MWh.
+        Saving by one MW less and cost of one MW more, $/MWh.
     stages : dict of str to float
         Wall-clock s of each stage.
     nodes, binaries : int
@@ -49,7 +49,7 @@ class Dispatch:
     trace : list of (float, float, float)
         Wall-clock s, best cost and bound, as the proof closed.
     limited : bool
-        Whether the wall-clock limit struck, so that another run may end elsewhere.
+        Whether the wall-clock limit was reached; another run may then have another result.
     losses, reserve : float
         Losses of the network at P and spinning reserve that it leaves, MW; NaN without conditions.
     """
@@ -87,7 +87,7 @@ class Optimiser:
     mip_gap : float
         Relative gap at which a MILP of the two-stage method stops.
     time_limit : float
-        Wall-clock s; where it strikes the answer is the best so far with its true gap.
+        Wall-clock s; when it is reached, the answer is the best so far with its true gap.
     max_nodes : int
         Boxes of the branch and bound before the adaptive MILPs take over.
     """

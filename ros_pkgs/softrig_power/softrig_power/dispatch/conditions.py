@@ -45,7 +45,7 @@ class Losses:
         Raises
         ------
         TableError
-            Another number or other names of units, something that is no number.
+            Number or names of the units differ, or a value is not a number.
         """
         path = resource(source)
         columns, rows = read_rows(path)
@@ -84,7 +84,7 @@ class Conditions:
     reserve : float
         Spinning reserve asked for, MW.
     ready : ndarray, shape (n,)
-        Most that a unit can give of it, MW; it gives min(ready, P_max - P).
+        Largest reserve of each unit, MW; it gives min(ready, P_max - P).
     """
 
     low: Array

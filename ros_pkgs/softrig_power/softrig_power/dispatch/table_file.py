@@ -62,7 +62,7 @@ class Row:
         Raises
         ------
         TableError
-            It is no number, or missing.
+            The value is not a number, or it is missing.
         """
         text = self.values.get(column, "")
         if not text and default is not None:

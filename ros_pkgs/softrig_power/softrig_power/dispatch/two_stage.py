@@ -207,7 +207,7 @@ def nlp(units: Units, demand: float, P: Array) -> tuple[Array, bool]:
     Returns
     -------
     (ndarray of shape (n,), bool)
-        The better of the given and the found dispatch, both put onto the balance, and whether ipopt succeeded.
+        The better of `P` and the dispatch found, both corrected to the balance, and whether ipopt succeeded.
     """
     import casadi as ca
 

@@ -114,7 +114,7 @@ class FaultLocator(Block[FaultLocatorParams]):
         Raises
         ------
         RecordError
-            It is unfit.
+            The record has a defect, see `Record`.
         """
         table = x.record if self.p.form == "record" else x.rows.newest()
         return Record.from_table(np.array(table).reshape(-1, len(COLUMNS)))

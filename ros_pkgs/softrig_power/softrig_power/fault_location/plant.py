@@ -65,7 +65,7 @@ class LinePlant(Plant[LinePlantParams]):
     Notes
     -----
     H. Faramarzi, N. Ghaffarzadeh, A New Whale Optimization Algorithm-Based Fault Location Method; the network around
-    the line is ours.
+    the line is not from the paper.
     """
 
     DRAWN_BY = "softrig_power.fault_location.drawing:FaultedLine"

@@ -1,8 +1,8 @@
 """Time steps of lines, sources, transformers and DC link, compiled.
 
 Space vectors in the stationary frame, per unit. Each step solves the blocks {A}, {B}, {1, 2} and {3, 4} of the nodal
-equations; the half lines decouple them. A converter voltage enters a step by its exact mean over the step, which is
-what the trapezoidal rule of its R-L branch asks for:
+equations; the half lines decouple them. A converter voltage enters a step by its exact mean over the step, as the
+trapezoidal rule of its R-L branch requires:
 
     L (i_n - i_(n-1))/h + R (i_n + i_(n-1))/2 = mean(v) - (u_n + u_(n-1))/2
     2 T v_dc dv_dc/dt = -Re(v_sh i_sh* + v12 i12* + v34 i34*), so v_dc^2 falls by h/T times the mean power
@@ -228,12 +228,12 @@ def moved(
     Parameters
     ----------
     rows : Rows
-        Of the period before: so many steps.
+        Rows of the previous period; the new ones have the same number of steps.
 
     Returns
     -------
     State, Rows, ndarray
-        The state after it, what happened, and the mean power of each converter.
+        The state after the period, its rows, and the mean power of each converter.
     """
     after = State(state.ring.copy(), state.u.copy(), state.i.copy(), state.v_dc.copy())
     new = Rows(np.zeros_like(rows.bus), np.zeros_like(rows.current), np.zeros_like(rows.converter))

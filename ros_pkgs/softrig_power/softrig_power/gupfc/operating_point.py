@@ -99,7 +99,7 @@ class OperatingPoint:
     def past(self, u: str, i: str) -> Iterator[tuple[complex, complex]]:
         """Yield a measured voltage and current of the last cycles before t = 0, in which loops and filters settle.
 
-        Nothing where only the fundamental is there: at their phasors loops and filters are settled.
+        Empty if there is only the fundamental: loops and filters are then settled at its phasors.
         """
         if self.cycle[u].size == CYCLE:
             for _ in range(PAST):
@@ -112,7 +112,7 @@ def conduction(magnitude: float, v_dc: float, limit: float) -> float:
     Parameters
     ----------
     magnitude, v_dc : float
-        Voltage asked for and DC voltage, pu.
+        Wanted voltage and DC voltage, pu.
     limit : float
         Series voltage at 180 deg and nominal DC voltage, pu.
     """
@@ -123,8 +123,8 @@ def operating_point(params: DeviceParams) -> OperatingPoint:
     """Find the steady state of the stepped circuit in which the measurements equal the references.
 
     The power flow gives the fundamentals; measured over a control period the 47th and 49th leave a trace (1e-3 pu), the
-    discrete network differs a little from the exact one (1e-4 pu) and harmonics have losses of their own. What is
-    missing is added to what the power flow is asked for until it agrees.
+    discrete network differs a little from the exact one (1e-4 pu) and harmonics have losses of their own. The
+    differences are added to the references of the power flow until the results agree.
     """
     return _operating_point(params.network, params.initial, params.period, params.substeps, params.pulse)
 
@@ -176,7 +176,7 @@ def _flow(network: NetworkParams, references: References, surplus: float = 0.0) 
     Raises
     ------
     ValueError
-        There is no operating point with these references, or it needs more series voltage than there is.
+        There is no operating point with these references, or it needs more series voltage than is available.
     """
     result = PowerFlow(network, converter_loss=True).solve(references, surplus=surplus)
     if isinstance(result, Diverged):

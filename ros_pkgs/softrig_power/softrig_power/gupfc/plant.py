@@ -20,7 +20,7 @@ from .ports import DC_LINK, SERIES, SHUNT, STATUS, TRACE, measured
 
 CONVERTERS = ("shunt", "series_1", "series_2")
 VECTORS = ("u1", "u2", "u4", "i_sh", "i12", "i34")
-# In pu. A larger series command cannot be meant and is rejected.
+# In pu. A larger series command is impossible and is rejected.
 MAGNITUDE_LIMIT = 1.2
 FREQUENCY_LIMIT = (0.5, 1.5)  # of nominal, of a command that can be meant
 TRIP = (0.5, 1.3)  # pu, of the DC voltage
@@ -68,10 +68,10 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     means over the control period, see `measurement`.
 
     A command holds the amplitude (shunt: conduction angle sigma, series: magnitude, turned into sigma with the DC
-    voltage of the tick) and the angle, which turns on with omega. A command that cannot be meant is replaced by the
-    last good one for one period, then its converter is blocked until a good one comes: a series converter is bypassed,
-    the shunt converter keeps sigma and follows bus 1. A DC voltage outside 0.5 to 1.3 pu trips: the shunt converter is
-    disconnected, the series converters are bypassed, the DC link is frozen, for good.
+    voltage of the tick) and the angle, which turns on with omega. An invalid command is replaced by the last valid one
+    for one period. Then its converter is blocked until a valid command arrives: a series converter is bypassed, the
+    shunt converter keeps sigma and follows bus 1. A DC voltage outside 0.5 to 1.3 pu trips the device for the rest of
+    the run: the shunt converter is disconnected, the series converters are bypassed, and the DC link is frozen.
 
     Notes
     -----

@@ -33,11 +33,11 @@ class PulseGeneratorParams(BlockParams):
 class PulseGenerator(Block[PulseGeneratorParams]):
     """Gates of the four three-level bridges under the newest command, see `pulses`.
 
-    ``pulses/gates``: bridge by switch (Q1 to Q4 of phase a, b, c), 1 conducts. ``pulses/voltage``: the space vector
-    of the 48-step voltage for a DC voltage of 1. ``pulses/spectrum``: order (negative: turns against the fundamental)
-    and amplitude in % of the fundamental, up to the 97th. ``pulses/quality``: fundamental for a DC voltage of 1,
-    distortion over all harmonics and up to the 50th in %. A command may come in parts (sigma alone). A conduction
-    angle that is none is refused: the last one holds.
+    ``pulses/gates``: bridge by switch (Q1 to Q4 of phase a, b, c), 1 conducts. ``pulses/voltage``: the space vector of
+    the 48-step voltage for a DC voltage of 1. ``pulses/spectrum``: order (negative: turns against the fundamental) and
+    amplitude in % of the fundamental, up to the 97th. ``pulses/quality``: fundamental for a DC voltage of 1, distortion
+    over all harmonics and up to the 50th in %. A command may have only some of the values (sigma alone). An invalid
+    conduction angle is refused, and the last one stays in force.
     """
 
     INPUTS = (

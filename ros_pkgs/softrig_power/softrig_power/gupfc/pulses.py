@@ -14,7 +14,7 @@ make the space vector :math:`s_6(\theta)`. The transformers turn it and add the 
     S_{48}(\theta) = \frac14 \sum_k e^{j\varphi_k} s_6(\theta - \varphi_k), \qquad
     \varphi = 7.5°, -7.5°, -22.5°, -37.5°
 
-What remains are the orders 1 + 24 m (positive: with the fundamental, negative: against it) of amplitude
+The remaining harmonics have the orders 1 + 24 m (positive: with the fundamental, negative: against it) of amplitude
 :math:`\frac{2}{\pi} V_{dc} \sin(n\sigma/2)/n`. The 23rd and 25th are made small by sigma = 172.5 deg alone; (19) to
 (24) and (28) to (30) of the paper describe eight six-pulse bridges, where they are absent.
 

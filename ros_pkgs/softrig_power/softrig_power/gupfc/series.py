@@ -53,10 +53,10 @@ class SeriesController(Block[SeriesControllerParams]):
     - ``printed``: :math:`v = K_p (i_{ref} - i) + K_i \int (i_{ref} - i)\,dt`, axis by axis, u and i as measured. With
       the printed gains it excites the resonance of the half lines and ends in a limit cycle at the limiter.
 
-    \|v\| is at most `network.series_limit`; what is cut off is taken back from the integrator.
+    \|v\| is at most `network.series_limit`; the part beyond it is subtracted from the integrator.
 
-    Other gains bring no jump: the integral is kept in units of v, and takes up what another Kp would change. The steady
-    state of the start, which all nodes agree on, cannot change.
+    A change of gains causes no jump: the integral is kept in units of v and compensates the effect of the new Kp. The
+    steady state of the start, which is the same in all nodes, cannot change.
     """
 
     @classmethod

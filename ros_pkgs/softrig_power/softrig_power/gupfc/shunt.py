@@ -50,7 +50,7 @@ class ShuntController(Block[ShuntControllerParams]):
 
     An angle that lags draws active power and charges the DC link, which raises the converter voltage in proportion;
     sigma stays. Magnitude and current are filtered, theta is that of a phase-locked loop on u1. The integrators start
-    at the operating point of the parameters, which cannot change while it runs. Other gains bring no jump, see
+    at the operating point of the parameters, which cannot change while it runs. A change of gains causes no jump, see
     `softrig_control.pid.Pid.go_on`.
     """
 

@@ -109,7 +109,7 @@ def start(
     pulse : {0, 1}
         Waveform; with pulses a cycle must be a whole number of steps.
     samples : int
-        Length of the past that is also given, steps.
+        Length of the past that is also returned, steps.
     """
     h, omega = circuit.step, circuit.omega
     steps = round(2.0 * np.pi / (omega * h))  # of a cycle; only the fundamental matters when it is not whole

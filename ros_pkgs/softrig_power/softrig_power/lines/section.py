@@ -28,7 +28,7 @@ class Section:
     Raises
     ------
     ValueError
-        Names the constant that no line can have.
+        A constant is impossible for a line; the message names it.
     """
 
     r: float

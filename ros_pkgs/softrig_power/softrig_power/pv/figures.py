@@ -1,6 +1,6 @@
 """Figure functions of a tracker: against the true global maximum power point, which only these functions know.
 
-The modules of the string, and the conditions that it begins in, are those of the rig's plant.
+The modules of the string and its initial conditions are those of the rig's plant.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def tracking_time(
 ) -> float:
     """Time in s from `start` until the power stayed at `level` of the global maximum or above; inf if it did not.
 
-    To stay means to the end, or for `stay` s: a tracker may look again later at what else there is.
+    It must stay there to the end, or for `stay` s: a tracker may scan its range again later.
     """
     run = _Run(signals, module, first, start, end)
     low = np.flatnonzero(run.power < level * run.gmpp)

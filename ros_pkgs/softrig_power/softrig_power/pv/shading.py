@@ -65,7 +65,7 @@ class ShadingSourceParams(BlockParams):
 class ShadingSource(Block[ShadingSourceParams]):
     """Irradiance and cell temperature of every module, changing at given times.
 
-    What is drawn for the fluctuation stays for the whole run, whatever else changes while it runs.
+    The random numbers of the fluctuation are drawn once for the whole run; changed parameters do not affect them.
     """
 
     @classmethod

@@ -55,5 +55,5 @@ class RectifierGpcParams(RectifierConstants, GpcLawParams):
 class RectifierGpc(GpcController[RectifierGpcParams]):
     """Holds the DC voltage by the drop V', or by the current of the decoupled structure; see `GpcController`.
 
-    A trip commands 0: the plant's switches go off, and the link stays at what the diodes hold.
+    A trip commands 0: the plant's switches go off, and the diodes alone determine the voltage of the link.
     """

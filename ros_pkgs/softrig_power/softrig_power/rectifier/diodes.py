@@ -22,8 +22,8 @@ STEP = 1e-6
 def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
     """Integrate one step around t: a leg conducts by its upper diode into the link (s = 1), or back by the lower one.
 
-    A leg without current has none until its terminal is above the link's positive or below its negative rail; a current
-    that would turn round ends.
+    A leg without current starts to conduct when its terminal is above the positive or below the negative rail of the
+    link. A current that would change its sign becomes zero.
     """
     circuit, period = p
     g = grid(t, circuit, period)

@@ -92,7 +92,7 @@ class StateDq(NamedTuple):
     """Currents in the frame of the grid voltage (A, peak), DC voltage (V).
 
     `applied`: the reference of the period before (A), empty where the command is no reference. `end`: of the period
-    before, ns. `collapsed`: whether the converter is given up.
+    before, ns. `collapsed`: whether the switches are off for the rest of the run.
     """
 
     i_d: float
@@ -136,19 +136,21 @@ class RectifierPlant(Plant[RectifierPlantParams]):
     """Three-phase six-switch rectifier with its modulator.
 
     The equations are in `averaged` and `switched`, the modulator's in `circuit`. The command of t_k acts from t_k on
-    for one period. Events (load resistance, grid amplitude, amplitude of the fifth harmonic) are taken with the
-    command: the first period that begins at or after an event sees the new value; the parameters are the start.
+    for one period. Events (load resistance, grid amplitude, amplitude of the fifth harmonic) take effect with the
+    command: the first period that begins at or after an event has the new value; the parameters give the initial
+    values.
 
     In realtime a command older than 5 periods is held with a warning; one older than 20 is replaced by V' = 0.
 
-    A command of exactly 0 is the word for switches off (a trip, lost commands): the diodes beside them are a bridge,
-    which feeds the load and holds the link at the peak between two phases, less what the load draws through L.
+    A command of exactly 0 means that the switches are off (a trip, lost commands). The diodes parallel to them form a
+    bridge, which feeds the load and keeps the link at the peak between two phases, less the voltage that the load
+    current causes across L.
 
     ``power_quality`` has the figures of the last whole six grid cycles (zeros before the first are over).
 
-    A command that is not finite or beyond 10,000 never gets here by a node; an event that is no possible value is
-    refused and the last good one holds. When the DC voltage collapses below `v_least` the converter is given up: its
-    switches stay off, the diodes carry on.
+    The limits of the input stop a command that is not finite or beyond 10,000. An impossible value of an event is
+    refused, and the last valid one stays in force. When the DC voltage falls below `v_least`, the switches stay off for
+    the rest of the run, and only the diodes conduct.
     """
 
     DRAWN_BY = "softrig_power.rectifier.drawing:Rectifier"

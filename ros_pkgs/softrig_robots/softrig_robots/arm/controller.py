@@ -41,8 +41,8 @@ class ArmController(Block[ArmControllerParams]):
         \tau &= g(q) + K_p e + K_d \dot e && \text{PD with gravity} \\
         \tau &= g(q) + J(q)^T (K\,(x_d - x) + D\,(\dot x_d - \dot x)) - K_d \dot q && \text{impedance}
 
-    x is the place of the tool, x_d that of q_d, and K_d the damping of joint motions that the tool does not see. Where
-    the model is the robot, computed torque leaves e'' + K_d e' + K_p e = 0.
+    x is the position of the tool, x_d that of q_d, and K_d the damping of joint motions that do not move the tool.
+    Where the model is the robot, computed torque leaves e'' + K_d e' + K_p e = 0.
 
     References
     ----------

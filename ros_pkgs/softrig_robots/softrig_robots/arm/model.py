@@ -60,7 +60,7 @@ class Arm:
     inverse : Compiled
         (q, v, a, armature, payload) to the torques of M(q) a + h(q, v) + friction.
     tool : Compiled
-        q to the place of the tool (m, 3) and its Jacobian (3 n, row by row).
+        q to the position of the tool (m, 3) and its Jacobian (3 n, row by row).
     """
 
     def __init__(self, step: Compiled, inverse: Compiled, tool: Compiled) -> None:

@@ -20,7 +20,8 @@ class AdsmcGains(SurfaceGains):
 class AdsmcState(NamedTuple):
     """Voltage (V), both surfaces (rad/s, rad/s^2), estimate f-hat (V/s), integrals of e and s.
 
-    Of the period before the desired acceleration and Sigma, None at the start, and what that Sigma was made of.
+    Desired acceleration and Sigma of the previous period, None at the start, and the terms of which that Sigma
+    consisted.
     """
 
     v: float = 0.0
@@ -41,9 +42,10 @@ class Adsmc:
         \dot v = q_d^{(3)} + \mu_1 \Upsilon + \mu_2 \dot e + \mu_3 e + \mu_4 \int e + \hat f + k \sigma, \quad
         \dot{\hat f} = \gamma \sigma, \quad \Upsilon = \ddot q_d - v
 
-    Written with :math:`\Sigma = \int \sigma = s + b_1 \int s + b_2 \iint s` no acceleration is measured and no
-    velocity differentiated: :math:`k \sigma` and :math:`\gamma \sigma` are increments of Sigma. The voltage is what is
-    integrated, so other gains bring no jump: Sigma before them is what they would have made of the same errors.
+    Written with :math:`\Sigma = \int \sigma = s + b_1 \int s + b_2 \iint s` no acceleration is measured and no velocity
+    differentiated: :math:`k \sigma` and :math:`\gamma \sigma` are increments of Sigma. The voltage itself is
+    integrated, so a change of gains causes no jump: the previous Sigma is computed again from the same errors with the
+    new gains.
 
     Parameters
     ----------

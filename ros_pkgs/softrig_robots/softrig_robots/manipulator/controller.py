@@ -74,7 +74,8 @@ class VcsControllerParams(BlockParams):
 class VcsController(Block[VcsControllerParams]):
     """Joint states and reference in, motor voltages out.
 
-    Gains and limits may change while it runs, the law itself may not: another one would begin from nothing.
+    Gains and limits may change while it runs. The law may not, because another one would have no state to continue
+    from.
     """
 
     @classmethod

@@ -43,8 +43,8 @@ class Dsmc:
     .. math::
         \dot v = q_d^{(3)} + \mu_1 \Upsilon + \mu_2 \dot e + \mu_3 e + \mu_4 \int e + \rho\, \mathrm{sgn}\, \sigma
 
-    sigma needs the second derivative of the error: the backward difference of its rate. The voltage is what is
-    integrated, so other gains bring no jump.
+    sigma needs the second derivative of the error: the backward difference of its rate. The voltage itself is
+    integrated, so a change of gains causes no jump.
 
     Parameters
     ----------

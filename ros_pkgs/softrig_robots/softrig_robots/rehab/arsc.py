@@ -48,7 +48,7 @@ class Arsc:
         V = \varphi^T \hat\theta - k_2 z - h \tanh(z/0.05), \quad
         \dot{\hat\theta} = \mathrm{Proj}(-\Gamma \varphi z)
 
-    The estimates stay under other gains; what these multiply jumps.
+    A change of gains does not change the estimates; the terms that the gains multiply jump.
 
     Parameters
     ----------

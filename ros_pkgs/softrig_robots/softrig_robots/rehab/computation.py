@@ -19,7 +19,7 @@ def computation_times(updates: int = UPDATES) -> dict[str, float]:
     Parameters
     ----------
     updates : int
-        How many one round averages over.
+        Number of updates over which one round averages.
 
     Returns
     -------

@@ -48,9 +48,9 @@ class Emvc:
 
     Notes
     -----
-    The current cancels: :math:`V_k = V_{k-1} + \hat\alpha (\dot e_k + \lambda e_k)`. The law is an integrator, a
-    PI controller of the position with gain :math:`\hat\alpha/T`. V_{k-1} must be what the motor really got:
-    then nothing winds up when the voltage is limited, and other gains bring no jump.
+    The current cancels: :math:`V_k = V_{k-1} + \hat\alpha (\dot e_k + \lambda e_k)`. The law is an integrator, a PI
+    controller of the position with gain :math:`\hat\alpha/T`. V_{k-1} must be the voltage applied to the motor: then
+    nothing winds up when the voltage is limited, and a change of gains causes no jump.
     """
 
     UNITS = {"psi": "rad/s"}

@@ -51,8 +51,8 @@ class Tsarc:
         V = \hat\alpha (\dot q_r + \lambda e) + \hat R I + a + b \tau + \rho \tanh(e/\varphi), \quad
         \dot a = \gamma_a e, \quad \dot b = \gamma_b e \tau, \quad \tau = t \bmod T_w
 
-    At the end of each window a becomes a + b T_w. Under other gains a and b, which are voltages, stay; what the error
-    and the current give directly jumps. The window is fixed: a series is under way.
+    At the end of each window a becomes a + b T_w. A change of gains leaves a and b, which are voltages, as they are;
+    the direct terms of error and current jump. The window cannot change, because a series is always under way.
 
     Parameters
     ----------

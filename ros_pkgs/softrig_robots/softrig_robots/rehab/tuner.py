@@ -212,8 +212,8 @@ class State(NamedTuple):
 class Tuner(Solver[TunerParams]):
     """Tunes alpha_hat in the background; evaluates one candidate after another and publishes the best result so far.
 
-    The result is generation, best alpha_hat (V s/rad) and its cost (deg^2); zeros before the
-    first candidate that the robot endures.
+    The result is generation, best alpha_hat (V s/rad) and its cost (deg^2); zeros before the first candidate with which
+    the robot need not be stopped.
     """
 
     INPUTS = (button("start", "tuner/start", held=True),)

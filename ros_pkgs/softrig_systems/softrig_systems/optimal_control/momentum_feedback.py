@@ -21,9 +21,9 @@ class State(NamedTuple):
 class MomentumFeedback(Block[ProblemParams]):
     r"""Drives the momentum h = I w of a spacecraft to zero along a straight line.
 
-    :math:`u = -I \omega / (T - t)`. The gyroscopic torque cannot change \|h\|, so no control does with less
-    than \|h_0\|^2/(2T). In the last period T - t is held at the period; after the horizon the command is zero.
-    A state that is refused holds the command.
+    :math:`u = -I \omega / (T - t)`. The gyroscopic torque cannot change \|h\|, so no control does with less than
+    \|h_0\|^2/(2T). In the last period T - t is held at the period; after the horizon the command is zero. If the state
+    is refused, the command is held.
     """
 
     STATE = State

@@ -44,7 +44,7 @@ class ProblemParams(BlockParams):
         Raises
         ------
         ProblemError
-            It cannot be stated so.
+            The parameters are not a valid problem.
         """
         problem = find(self.problem)
         if problem.name == "spacecraft":

@@ -79,9 +79,9 @@ class State(NamedTuple):
 class Planner(Solver[P]):
     """Plans from the first measured state to the end of the horizon, and again from later states for the rest of it.
 
-    A press on `replan`, or each `k_replan` periods, asks for a new plan, unless less than two periods are left. A state
-    that is refused asks for nothing: the last plan stays. A plan that misses the end conditions by more
-    than 1e-8 of the state is not published (ERROR); one with too large a residual is, as not converged (WARN).
+    A press on `replan`, or each `k_replan` periods, requests a new plan, unless less than two periods are left. If the
+    state is refused, no plan is requested, and the last one stays. A plan that misses the end conditions by more than
+    1e-8 of the state is not published (ERROR); one with too large a residual is, as not converged (WARN).
     """
 
     LABEL = "power"

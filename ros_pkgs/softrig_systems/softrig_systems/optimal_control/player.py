@@ -64,8 +64,8 @@ Answer = tuple[State, Mapping[str, tuple[float, ...]]]
 class OcpPlayer(Block[PlayerParams]):
     """Holds u(t_k + dt/2) of the newest plan for a period; zero before the first plan and after the horizon.
 
-    A plan that is not to be trusted, that is over before it comes, or that does not begin at the measured state is
-    rejected with ERROR, and the previous plan continues. A rejected state has no effect: the plan continues.
+    A plan that has not converged, that ends before it arrives, or that does not begin at the measured state is rejected
+    with ERROR, and the previous plan continues. A rejected state has no effect: the plan continues.
     """
 
     STATE = State

@@ -46,7 +46,7 @@ def spacecraft(inertia: tuple[float, ...] = INERTIA) -> Problem:
     Raises
     ------
     ProblemError
-        A moment is not positive, or larger than the other two together, as of no body.
+        A moment is not positive, or it is larger than the sum of the other two, which no body has.
     """
     if len(inertia) != 3 or not all(0.0 < moment < float("inf") for moment in inertia):
         raise ProblemError(f"inertia = {inertia}: expected 3 positive moments, kg m^2")

@@ -185,8 +185,8 @@ class TankPlantParams(DelayPlantParams):
 class TankPlant(DelayPlant[TankPlantParams]):
     """x' = -c sqrt(x) + u(t - d)/(A phi): a tank at the end of a pipe; an empty one stays at 0 (DRY, an error).
 
-    At the start the pipe holds what the law gives for x0; the other nodes' values of tank, law and x0 are held against
-    these.
+    At the start the pipe contains the output of the law for x0. The values of tank, law and x0 in other nodes are
+    compared with these.
     """
 
     DRAWN_BY = "softrig_systems.pwa_delay.drawing:Tank"

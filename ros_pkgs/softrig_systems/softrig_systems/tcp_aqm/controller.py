@@ -61,7 +61,7 @@ SILENCE = LastAnswer()
 class State(NamedTuple):
     """Integral of e (packet s), set point q_d and last e (packets), window and round trip of late.
 
-    Besides the ticks in a row without a valid state, and the last answer.
+    The last two fields are the number of successive ticks without a valid state, and the last answer.
     """
 
     integral: float
@@ -79,14 +79,14 @@ class AqmController(Block[AqmControllerParams]):
     """Drop probability from window, queue and round trip time, by one of `laws`, clipped to [0, 1].
 
     Window and round trip of one round trip ago come from the controller's own record of the state, interpolated
-    linearly; before there is one, from the oldest value. The integral takes e in after the law has used it.
+    linearly; before there is one, from the oldest value. The integral is updated with e after the law has used it.
 
-    A state that is refused, negative or older than 5 periods is answered by the last command; after 50
-    ticks without a valid one by 0, for then only a full queue may drop.
+    If the state is refused, negative or older than 5 periods, the last command is repeated. After 50 ticks without a
+    valid state the command is 0, so that only a full queue drops packets.
 
-    Under other gains the integral is rescaled so that its part of the command (of the surface) stays, where the law has
-    one after as before. The set point, on which figures agree, changes by its topic; the law and its idea of the
-    network are fixed at the start.
+    When gains change, the integral is rescaled so that its part of the command (of the surface) stays the same, if the
+    law has an integral before and after. The set point changes only by its topic, because figures read it there; the
+    law and its model of the network are fixed at the start.
     """
 
     INPUTS = (STATE, REFERENCE)

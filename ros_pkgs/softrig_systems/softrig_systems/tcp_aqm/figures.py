@@ -15,7 +15,7 @@ from .model import Bottleneck, equilibrium
 def mean_square_window(signals: SignalMap, signal: str, *, queue: float | str, N: int, C: float, tau_p: float) -> float:
     """Mean of (signal - w0)^2, w0 the window that holds the queue (packets) on this bottleneck: J_w of the paper.
 
-    The mean is over time. Mean squares are the only reading of the undefined J that fits the sizes printed.
+    The mean is over time. The paper does not define its J; only mean squares agree with the printed values.
 
     Parameters
     ----------

@@ -126,7 +126,7 @@ def robust(m: Measured, g: Gains) -> Decision:
 
         u = (-Phi - 3 a q' - 3 a^2 e - a^3 int e dt)/Psi
 
-    The integral takes up what a wrong model leaves; the controller freezes it while u is clipped.
+    The integral compensates errors of the model; the controller freezes it while u is clipped.
     """
     a = g.a
     return Decision((-m.phi - 3.0 * a * m.rate - 3.0 * a * a * m.e - a * a * a * m.integral) / m.psi, 0.0)

@@ -78,9 +78,8 @@ class Network(Plant[P]):
     """A queue whose drop or mark probability is the command; subclasses implement the sources.
 
     The command is held for one period; outside [0, 1] it is clipped. Disturbances and events act at the internal step
-    nearest to their time. What the network is made of changes by events on its topic; the parameters are the start.
-
-    What it remembers has the fields `step`, the number of internal steps so far, and `net`, a `Net`.
+    nearest to their time. The network changes by events on its topic; the parameters give the initial values. The state
+    has the fields `step`, the number of internal steps so far, and `net`, a `Net`.
     """
 
     DRAWN_BY = "softrig_systems.tcp_aqm.drawing:Bottleneck"

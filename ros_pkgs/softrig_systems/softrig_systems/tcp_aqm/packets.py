@@ -28,7 +28,7 @@ class Agenda(NamedTuple):
 class Sources(NamedTuple):
     """For each flow: window, packets in flight, propagation time, time of the last halving, and whether it sends.
 
-    Besides its propagation time as a part of the nominal one.
+    The last field is its propagation time as a fraction of the nominal one.
     """
 
     window: Floats
@@ -181,11 +181,11 @@ def arrive(inside: Inside, now: float, flow: int, marked: int, C: float, room: i
 def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside) -> None:
     """Run all events up to `end` (s).
 
-    Congestion avoidance: an acknowledgement without a mark makes w + 1/w, one with a mark w/2 (floor `w_min`), at
-    most once per round trip: packets sent before the last halving do not count. A source sends while fewer than
-    floor(w) of its packets are on the way. The queue serves a packet in 1/C; an accepted packet is marked with
-    probability p (with `drop` it is lost instead), one that finds no room is lost; a loss is noticed one propagation
-    time later and counts as a mark.
+    Congestion avoidance: an acknowledgement without a mark makes w + 1/w, one with a mark w/2 (floor `w_min`), at most
+    once per round trip: packets sent before the last halving do not count. A source sends while fewer than floor(w) of
+    its packets are on the way. The queue serves a packet in 1/C; an accepted packet is marked with probability p (with
+    `drop` it is lost instead), one that arrives at a full queue is lost; a loss is noticed one propagation time later
+    and counts as a mark.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ class TcpPackets(Network[TcpPacketsParams]):
     """N sources in congestion avoidance on one FIFO queue; see `packets.run_until` for the rules.
 
     The measured window is the mean over the sources. Each starts at a random time in [0, tau_p]. The heap of events
-    holds at most N w_max + q_max entries besides one start a flow and two more; its largest size is reported.
+    holds at most N w_max + q_max entries plus one start for each flow and two more; its largest size is reported.
     """
 
     def setup(self) -> None:

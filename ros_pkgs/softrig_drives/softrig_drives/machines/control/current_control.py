@@ -39,8 +39,9 @@ class CurrentControl:
         u  = k_p (i_ref - i) + I + e,  k_p = alpha_c L,  k_i = alpha_c R
         I' = k_i (i_ref - i + (u_lim - u)/k_p)
 
-    e is the motional voltage that the machine's model gives; u_lim is u, shortened to what the modulation can make of
-    the DC voltage. The closed loop of the model is alpha_c/(s + alpha_c) (internal model control).
+    e is the motional voltage that the machine's model gives; u_lim is u, shortened to the largest voltage that the
+    modulation can produce from the DC voltage. The closed loop of the model is alpha_c/(s + alpha_c) (internal model
+    control).
 
     Parameters
     ----------

@@ -46,8 +46,8 @@ class SixStepController(Block[SixStepParams]):
         T = 2 k_e i,  i = (i_up - i_low)/2
         u = k_p (i_ref - i) + I + 2 k_e w,  k_p = alpha_c 2 L,  I' = alpha_c 2 R (i_ref - i + (u_lim - u)/k_p)
 
-    The upper phase has the share u/U_dc, the lower 0; a negative voltage exchanges them. Hall states that are all alike
-    are no sector: the one before is held and it is reported.
+    The upper phase has the share u/U_dc, the lower 0; a negative voltage exchanges them. Three equal Hall states are
+    not a sector: they are reported, and the previous sector is kept.
     """
 
     INPUTS = (CURRENTS, HALL, SHAFT_MEAS, DC_LINK, SPEED_REF)

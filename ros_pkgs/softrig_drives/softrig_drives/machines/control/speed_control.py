@@ -35,7 +35,8 @@ class SpeedControl:
         T_ref = k_p (w_ref - w) + I - k_p w,  k_p = alpha_s J
         I'    = alpha_s k_p (w_ref - w + (T - T_ref)/k_p)
 
-    T is what the machine can make of T_ref. With one mass and without friction the loop is alpha_s/(s + alpha_s).
+    T is the part of T_ref that the machine can produce. With one mass and without friction the loop is alpha_s/(s +
+    alpha_s).
 
     References
     ----------

@@ -45,8 +45,7 @@ def bldc(rated: Mapping[str, float]) -> Drive:
     Raises
     ------
     ValueError
-        A name that is not asked for, a value that is no number above zero, one that is missing, or values that
-        contradict each other.
+        An unknown name, a value that is not a number above zero, a missing value, or values that contradict each other.
     """
     check(rated, ASKED, ("voltage", "speed", "torque", "current", "pole_pairs"), (("K_t", "K_v"),))
     assumed: list[str] = []

@@ -65,8 +65,7 @@ def induction(rated: Mapping[str, float]) -> Drive:
     Raises
     ------
     ValueError
-        A name that is not asked for, a value that is no number above zero, one that is missing, or values that
-        contradict each other.
+        An unknown name, a value that is not a number above zero, a missing value, or values that contradict each other.
     """
     check(rated, ASKED, ("power", "voltage", "current", "frequency", "speed"))
     assumed: list[str] = []

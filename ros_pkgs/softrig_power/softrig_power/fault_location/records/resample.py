@@ -18,8 +18,8 @@ def reach(rate: float, to_rate: float) -> float:
 def resampled(x: Array, start: float, rate: float, t: Array, to_rate: float) -> Array:
     """Return a band-limited signal at other times.
 
-    A sinc in a Blackman window, as wide as `HALF` periods of the slower rate; no phase shift, and what the slower rate
-    cannot hold is left out.
+    A sinc in a Blackman window, as wide as `HALF` periods of the slower rate; no phase shift; frequencies that the
+    slower rate cannot represent are removed.
 
     Parameters
     ----------

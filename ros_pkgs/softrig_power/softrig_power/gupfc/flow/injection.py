@@ -30,8 +30,8 @@ def series_power(v: Any, alpha: Any, e: Any, f: Any, z: complex, side: int) -> t
     v, alpha : float
         Magnitude and angle (rad) of the bus voltage.
     e, f : float
-        Real and imaginary part of the converter voltage: V12 cos(theta) = e cos(alpha) + f sin(alpha), so that a
-        voltage of zero is a point like any other.
+        Real and imaginary part of the converter voltage: V12 cos(theta) = e cos(alpha) + f sin(alpha), so that nothing
+        is singular at zero voltage.
     z : complex
         Impedance of the series transformer.
     side : {-1, 1}

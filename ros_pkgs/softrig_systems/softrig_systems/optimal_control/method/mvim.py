@@ -63,8 +63,8 @@ class Solution:
     alpha : ndarray, (states,)
         lambda(0).
     J : list of float
-        Integral of the running cost along the polynomials, for each order from 1 on. Not what a plant pays: it can
-        lie below the true minimum.
+        Integral of the running cost along the polynomials, for each order from 1 on. It is not the cost of the plant,
+        and it can lie below the true minimum.
     ratio : list of float
         abs(J_n - J_(n-1)) / abs(J_n); infinite at order 1.
     residual : list of float
@@ -80,7 +80,7 @@ class Solution:
     seed_order : int
         Order at which the paper's rule (one ratio below eps) would have stopped; 0: at none so far.
     roots : dict of int to list of Root
-        For the low orders at which several alphas meet the end conditions: all, the one that is taken first.
+        For the low orders at which several alphas meet the end conditions: all of them, the chosen one first.
     reason : str
     """
 
@@ -161,7 +161,7 @@ def newton(
     accurate : float
         Error from which on steps that no longer halve it are counted, to stop where only rounding changes.
     halvings : int
-        A step that makes the error larger is halved so often at most; 0: full steps, come what may.
+        A step that increases the error is halved at most this often; 0: always full steps.
     steps : int
         At most.
 
@@ -169,7 +169,7 @@ def newton(
     -------
     alpha : ndarray
     error : float
-        Largest violation that is left.
+        Largest remaining violation.
     """
     error, jacobian = _ends(problem, alpha, order, stages, T)
     size = float(np.max(np.abs(error)))
@@ -200,10 +200,10 @@ def newton(
 def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: float) -> tuple[Array, list[Root]]:
     """Solve the end conditions of an order from the alpha of the order before.
 
-    Where alpha changes by more than a tenth at a low order, all real roots that Newton's method reaches from all around
-    are looked for and the best is taken, see `roots`; from there on the branch is followed. A root that is further off
-    than half of alpha may be of another one: Newton's method is then begun all around alpha, too, and the nearest root
-    taken. Where there is none, horizons that grow to T, from alpha = 0 on.
+    If alpha changes by more than a tenth at a low order, Newton's method is started from many points around it, and the
+    best of the real roots is taken, see `roots`; from there on the branch is followed. A root that differs by more than
+    half of alpha may belong to another branch: Newton's method is then also started from points around alpha, and the
+    nearest root is taken. If there is none, the horizon is increased in steps to T, starting from alpha = 0.
 
     Returns
     -------
@@ -308,7 +308,7 @@ def solve(
     order : int
         Least order of the answer.
     order_max : int, optional
-        From `order` on it goes on until the sound rule is met, at most to here; `order` when absent.
+        The order increases from `order` until the sound rule is met, at most to this one; `order` when absent.
     eps, eps_res : float
         Of the stopping rule.
     stages : int
@@ -318,7 +318,7 @@ def solve(
     frozen_order : int
         Order whose alpha is the frozen one; 0: `order`.
     frozen_alpha : sequence of float
-        Instead: the frozen alpha itself.
+        The frozen alpha itself, in place of `frozen_order`.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Equations written as casadi expressions, carried out on power series: the tape of a function and its player.
 
-A casadi SX function is a list of scalar instructions. `Tape.of` takes it over with one place for each result, and
-`expand` goes through it once for each power, so that the solution of dz/ds = T F(z) comes out coefficient by
-coefficient: z_(k+1) = T F_k / (k + 1).
+A casadi SX function is a list of scalar instructions. `Tape.of` copies them with one slot for each result, and `expand`
+runs them once for each power, so that the solution of dz/ds = T F(z) comes out coefficient by coefficient: z_(k+1) = T
+F_k / (k + 1).
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Certificate(NamedTuple):
     seconds : float
         Wall-clock time of assembly, solver and check.
     shortest : float
-        It holds for delays from here to h, s: 0 of Theorem 1; h of one constant delay asked for alone.
+        Shortest delay covered, s: 0 for Theorem 1; h for one constant delay alone.
     """
 
     h: float
@@ -167,7 +167,8 @@ def certified_margin(
 def _walk(ask: Callable[..., Certificate], best: Certificate, step: float, width: float, most: float) -> Certificate:
     """Step up from a certificate by certified steps, halving a step that has none.
 
-    The largest step that can be certified is a third to a half of the way that is left: it ends at a tenth of `width`.
+    The largest step that can be certified is a third to a half of the remaining distance: it ends at a tenth of
+    `width`.
     """
     shortest, failed = best.shortest, False
     while step > max(0.1 * width * best.h, 2.0 * math.ulp(best.h)) and best.h < most:  # numbers between them, too

@@ -200,7 +200,7 @@ class Problem:
     def eigenvalues(self, matrices: Mapping[str, Array]) -> list[Eigenvalues]:
         """Evaluate every inequality only from given matrices, in float64, without the solver.
 
-        An unknown with negative entries that must not have any counts as an inequality that does not hold.
+        Negative entries of an unknown that must have none count as a violated inequality.
         """
         result = []
         for inequality in self.inequalities:

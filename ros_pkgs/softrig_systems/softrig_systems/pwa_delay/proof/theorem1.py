@@ -30,13 +30,13 @@ The functional is V = [x; x_d]' P_i [x; x_d] + z2' S z2 + int_{t-d}^t z3' Q z3 +
 + int_{t-h}^t int_y^t x'' R x', z2 = (x(t-h), int_{t-d}^t x, int_{t-h}^{t-d} x), z3(y) = (x(y), x'(y), x(t) - x(y)),
 z4(y) = (x(y), x'(y), x_d - x(y)).
 
-From mu = 1 on there is never a certificate: the block of x_d' alone in (10) is g (Z22 - Q22), and g takes both signs.
+For mu >= 1 there is no certificate: the block of x_d' alone in (10) is g (Z22 - Q22), and g takes both signs.
 
-What the paper prints otherwise: h_t = 1 - d for 1 - d'; Sym(E1 P E1') and, in the proof, Sym(E3 S E3'), which leave
-E2 and E4 unused; the integral of Z over [t-d, t]; "e4" for b4; P_i^{-1}(...) for the differences in (9); x_d for x_d'
-in the fifth place of xi; the wrong sign of the length by which the inequality lemma divides; H_i of the size of the
-state. It is not valid where the vector field slides along a face, nor for cells without the origin, whose conditions
-(11) to (13) demand that a matrix with zero rows is positive definite.
+The paper prints instead: h_t = 1 - d for 1 - d'; Sym(E1 P E1') and, in the proof, Sym(E3 S E3'), which leave E2 and E4
+unused; the integral of Z over [t-d, t]; "e4" for b4; P_i^{-1}(...) for the differences in (9); x_d for x_d' in the
+fifth place of xi; the wrong sign of the length by which the inequality lemma divides; H_i of the size of the state. It
+is not valid where the vector field slides along a face, nor for cells without the origin, whose conditions (11) to (13)
+demand that a matrix with zero rows is positive definite.
 """
 
 from __future__ import annotations
