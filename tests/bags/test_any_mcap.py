@@ -239,6 +239,6 @@ def test_the_types_of_our_topics_equal_those_of_the_library_of_all_types():
     for msgtype in known._HASHES:
         written, _ = typestore().generate_msgdef(msgtype, ros_version=2)
         assert known.definition_of(msgtype) == (written, typestore().hash_rihs01(msgtype)), msgtype
-    assert known.definition_of("std_msgs/msg/ColorRGBA") is None  # only within others, or not at all
+    assert known.definition_of("std_msgs/msg/ColorRGBA") is None  # defined only inside other definitions, or not at all
     topic = BagTopic.known("/x", "sensor_msgs/msg/JointState")
     assert (topic.definition, topic.digest) == known.definition_of("sensor_msgs/msg/JointState")

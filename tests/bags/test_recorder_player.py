@@ -288,7 +288,7 @@ def test_messages_that_wait_while_qos_is_adapted_are_kept(recorder, listener, tm
 
 
 def test_a_topic_that_returns_with_another_type_is_recorded_with_both(recorder, rig, tmp_path):
-    context = rclpy.Context()  # a participant of its own: one has a topic with one type only
+    context = rclpy.Context()  # a participant has one type per topic, so this is a second one
     context.init(domain_id=rig.domain)
     other = Node("other", context=context)
     for msgtype, count in ((STATE, 5), ("std_msgs/msg/Header", 4), (STATE, 3)):

@@ -123,9 +123,7 @@ def test_a_killed_lockstep_run_with_changed_parameters_stays(tmp_path, monkeypat
 
 
 def test_a_killed_run_with_a_changed_branch_stays(tmp_path, monkeypatch, capsys):
-    """If a person went back and continued without a change, the shards have the last branch and a file has the
-    first.
-    """
+    """After a rewind without a change, the shards hold the last branch and a separate file holds the first."""
     monkeypatch.chdir(tmp_path)
     folder = ResultsFolder(tmp_path / "runs" / "dc_motor_smc_b2")
     folder.clear()

@@ -220,6 +220,6 @@ class Watch:
             self._call.turn()
             stood = now - self._moved
             self.longest = max(self.longest, stood)
-            if stood > STANDS + 1.0 and not any(self._reasons.values()):  # diagnostics come once a second
+            if stood > STANDS + 1.0 and not any(self._reasons.values()):  # diagnostics are published once a second
                 self.unexplained = max(self.unexplained, stood)
         return (self.ticks - first) / seconds

@@ -44,7 +44,7 @@ class Node:
         signal_values = {k: v for part in self.parts.pop(tick).values() for k, v in part.items()}
         if tick != self.last:
             if self.last is not None and (tick - self.last) % 65536 > 32767:
-                return []  # an older one
+                return []  # the frame is older than the last one
             self.state, signals = self.step(self.state, tick, signal_values)
             self.last, self.parts = tick, {}
             self.answer = [framed(m, {"run": run, "tick": tick} | signals) for m in self.answers]

@@ -73,7 +73,7 @@ class Deleting(Law):
 
 class Again(Law):
     def update(self, x, t):
-        self.setup()  # what `setup` may, a tick may not by way of it
+        self.setup()  # `setup` may do this, but a tick that calls it may not
         return x, {"u": (0.0,)}
 
 

@@ -1438,7 +1438,7 @@ def native_or_why(body: str, **keywords: Any) -> str:
 
 @pytest.mark.parametrize(("body", "of"), [("a.pop() * 2.0", [0.5, 1.5]), ("next(a)", iter([0.5]))])
 def test_a_call_that_changes_its_object_is_not_evaluated_during_translation(body: str, of: Any) -> None:
-    """It would be made once for all ticks, in addition to those of Python."""
+    """Otherwise it would be called once for all ticks, in addition to the calls of Python."""
     assert "which changes an object outside of the state" in native_or_why(body, a=Static(of))
     assert list(of) == ([0.5] if body == "next(a)" else [0.5, 1.5])
 

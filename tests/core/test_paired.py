@@ -224,7 +224,7 @@ def test_a_message_of_no_tick_or_a_repeated_one_is_refused_with_what_was_expecte
         (20 * MS, "stamp 0.02 s from sender, expected 0 s"),
         (0, None),
         (0, "stamp 0 s from sender, expected 0 s (already there)"),
-        (220 * MS, "stamp 0.22 s from sender, expected 0 s (already there)"),  # after the end
+        (220 * MS, "stamp 0.22 s from sender, expected 0 s (already there)"),  # the stamp is after the end of the run
         (200 * MS, None),
         (-20 * MS, "stamp -0.02 s from sender, expected 0 s (already there)"),
     ):
@@ -499,7 +499,8 @@ def test_the_owner_of_the_clock_waits_for_the_messages_of_the_previous_tick():
     slow(0)
     assert reader.table.missing == 0
     reader.table.await_tick(10 * MS)
-    assert [row.who for row in reader.table.rows if not row.have] == ["law"]  # the slow one holds
+    # the last message of the slow sender is held
+    assert [row.who for row in reader.table.rows if not row.have] == ["law"]
     other = Reader(acks={"law": "0.01"})
     other.table.follow_ticks(set(), lambda: None)
     (row,) = other.table.rows
@@ -527,7 +528,7 @@ def test_after_a_restart_a_row_continues_after_the_used_message_and_reads_what_w
     assert reader.table.missing == 1
     row.recall(2, message_of(row.port, 30 * MS, 4.0))
     assert (reader.table.missing, reader.values["x"], reader.turns) == (0, (4.0,), 1)
-    row.resume(10 * MS, 10 * MS)  # never back
+    row.resume(10 * MS, 10 * MS)  # a resumption at an earlier time does not undo what was used
     assert (row.used, row.have) == (30 * MS, False)
     quiet = Reader(inputs={"x": link(sporadic=True)})
     row = quiet.row(state())

@@ -52,10 +52,10 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
     [
         # the search begins at 6200 for what ROS says of nodes (400 below the base) and at 76 of the domain's numbers
         (3, 0.0, 7, (), 0, 6607, 76),
-        (3, 0.0, 57, (), 0, 6607, 76),  # fifty places by process
+        (3, 0.0, 57, (), 0, 6607, 76),  # each process begins at one of fifty places
         (3, 0.0, 49, (), 0, 6649, 76),
-        (3, 18.0, 7, (), 0, 6607, 76),  # round again after 18 s
-        (3, 2.25, 7, (), 0, 6657, 90),  # an eighth later the next fifty, an eighth of 112 further
+        (3, 18.0, 7, (), 0, 6607, 76),  # the places repeat after 18 s
+        (3, 2.25, 7, (), 0, 6657, 90),  # an eighth of 18 s later: the next fifty ports, an eighth of 112 further
         (3, 17.99, 0, (), 0, 6950, 187),
         (3, 9.0, 7, (6407, 6408), 0, 6809, 132),
         (3, 0.0, 7, (8226, 8227), 0, 6607, 78),
@@ -63,7 +63,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
         (3, 0.0, 7, (8228,), 1, 6607, 77),
         (3, 0.0, 7, (8230,), 2, 6607, 77),
         (3, 17.99, 0, (8337,), 0, 6950, 76),  # round and round
-        (3, 0.0, 7, (*range(6200, 6600), *range(8226, 8338)), 0, 6607, 76),  # no other
+        (3, 0.0, 7, (*range(6200, 6600), *range(8226, 8338)), 0, 6607, 76),  # no port is free, so the first one is used
         (0, 0.0, 7, (7476,), 0, 6607, 77),
         (231, 0.0, 7, (65226,), 0, 6607, 77),
         (232, 9.0, 7, (), 0, 6807, 11),  # the last domain has no room: as the standard has it
@@ -752,7 +752,7 @@ def test_an_answer_of_the_server_belongs_to_the_newest_request_and_a_dead_proces
     near_end, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     server = object.__new__(fork_server.ForkServer)
     server._lock, server._asked, server._link, server._owner = threading.Lock(), 0, near_end, -1
-    for number, status in ((1, 7), (1, 8), (2, 9)):  # an answer to a question that a signal has cut off
+    for number, status in ((1, 7), (1, 8), (2, 9)):  # the reply to a request that a signal has interrupted
         far_end.send(json.dumps({"number": number, "status": status}).encode())
     assert [server.status(5), server.status(6)] == [7, 9]
     asked = [json.loads(far_end.recv(999)) for _ in range(2)]
@@ -856,7 +856,7 @@ def test_a_node_declares_its_parameters_and_those_of_its_run_that_belong_to_othe
         "pace": 0.0,
         "link": "",
     }
-    assert not node.declared["run.pace"][1]  # it may change
+    assert not node.declared["run.pace"][1]  # the parameter may be changed during the run
     assert node._parameters["run.paired"].type_ == Parameter.Type.STRING_ARRAY
     assert node.describe_parameter("run.paired").type == Parameter.Type.STRING_ARRAY.value
     with pytest.raises(ParameterError):

@@ -329,7 +329,7 @@ def test_the_search_for_a_domain_begins_at_the_process_id_and_wraps_around(monke
         raise KeyError
 
     monkeypatch.setattr(domain, "_open", taken)
-    monkeypatch.setattr(os, "getpid", lambda: 298)  # the 98th of a hundred, from 1 on
+    monkeypatch.setattr(os, "getpid", lambda: 298)  # the process uses place 98 of 1 to 100
     for busy, first in (
         ({}, 99),
         ({99}, 100),

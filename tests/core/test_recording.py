@@ -159,7 +159,7 @@ def test_shards_of_a_run_in_process_are_the_same_in_memory_and_on_the_disk(seed,
             holds(shards.recording(), plain.all())
     recording.release()
     assert not (tmp_path / "log").exists()
-    holds(recording, plain.all())  # the files are gone, and are open still
+    holds(recording, plain.all())  # the files are removed but still open
 
 
 def test_even_times_are_computed_and_others_are_read(tmp_path):
@@ -189,7 +189,7 @@ def test_columns_on_the_disk_are_not_read_into_memory(tmp_path, monkeypatch):
         assert is_long(x)
         assert t.tolist() == (np.arange(9) / 1e9).tolist()
         assert x.tolist() == (values[:, k] != 0.0 if name.startswith("rig/stop") else values[:, k]).tolist()
-    # another process has the numbers, not the file
+    # another process receives the numbers instead of the file
     assert pickle.loads(pickle.dumps(signals.recording)).topics == signals.recording.topics
 
 
@@ -414,7 +414,7 @@ def test_a_shard_is_written_to_the_disk_as_soon_as_it_must_be(tmp_path):
     writer.add(3, 1, b"1")
     assert grown() == 15
     writer.add(3, 2, bytes(4096 - 14))
-    assert grown() == 0  # just the limit
+    assert grown() == 0  # the growth equals the limit
     writer.add(3, 3, b"")
     assert grown() == 4096 + 14
     writer.add_row(4, [0.0] * SIZE)
@@ -455,7 +455,7 @@ def test_a_name_of_a_signal_may_leave_out_its_only_field():
     known = ("a/state/x/position", "a/state/y/position", "a/state/y/velocity", "a/rows/0,1", "single")
     for name, whole in (
         ("a/state/x", "a/state/x/position"),
-        ("a/state/y", "a/state/y"),  # of two
+        ("a/state/y", "a/state/y"),  # two fields: the name is left as it is
         ("a/state/x/position", "a/state/x/position"),
         ("a/rows", "a/rows/0,1"),
         ("a/state", "a/state"),
@@ -531,7 +531,7 @@ def test_stamps_that_are_not_the_ticks_and_messages_of_several_forms_are_read_on
         state.data.append(Layout(state.msgtype, "", names, {"position": 2}).encode(stamp * 10**9 + 7, (1.0, 2.0)))
     table = Signals(recording, 10**9).table("rig/state")
     assert (table.t.tolist(), table.stamp.tolist()) == ([4.0, 5.0], [2.000000007, 3.000000007])
-    state.times.append(7 * 10**9)  # in another frame, of another length
+    state.times.append(7 * 10**9)  # a state in another frame and of another length
     state.data.append(Layout(state.msgtype, "world", "xy", {"position": 2}).encode(10**10, (5.0, 6.0)))
     table = Signals(recording, 10**9).table("rig/state")
     assert table.stamp.tolist() == [2.000000007, 3.000000007, 9.0]

@@ -289,7 +289,7 @@ def test_moving_frames_are_published_once_a_tick_in_the_form_of_ros():
         bytes(STORE.serialize_cdr(STORE.deserialize_cdr(two, "tf2_msgs/msg/TFMessage"), "tf2_msgs/msg/TFMessage"))
         == two
     )
-    for options in ({"frames": False}, {"links": {"base": "0.01"}}):  # nobody else is there
+    for options in ({"frames": False}, {"links": {"base": "0.01"}}):  # there is no other node
         assert "/tf_static" not in face(Arm(), **options)[0].topics
     assert "/tf_static" in face(Arm(), links={"base": "0.01", "public": True})[0].topics
 
@@ -815,7 +815,7 @@ def test_a_container_runs_until_all_nodes_have_ended_or_one_has_failed_for_a_sec
     assert failed.run()
     assert failed.now == 10**9 + 20_000_000 + 1_020_000_000
     assert {*failed.served} == {(100_000_000, 0)}
-    assert {*failed.spun} == {0.0}  # to a timer as near as this it stays awake
+    assert {*failed.spun} == {0.0}  # the loop does not sleep when a timer is this near
     stopped = Turns(monkeypatch)
     stopped.rest = 300_002
     stopped.script = {100_000_000: lambda: setattr(stopped, "ok", False)}
@@ -1046,7 +1046,7 @@ def test_messages_are_passed_on_unchanged_whatever_their_length(monkeypatch):
     assert (len(works), len(ensured)) == (5, 1)  # once a thread
     for work in works:
         work()
-    works[0]()  # a newer one has replaced it: nothing is there
+    works[0]()  # a newer request has replaced this one, so it does nothing
     assert (received, rcl.resets) == (messages, 0)
     for writers, reported in ((0, []), (2, [2]), (2, [2]), (1, [2, 1])):
         rcl.writers = writers

@@ -342,7 +342,7 @@ def test_a_number_takes_eight_bytes_after_a_message():
     for k in range(3):
         publish(10 + k, (float(k),))
     assert messages == [port.layout().encode(10 + k, (float(k),)) + bytes([k, 0, 0, 0, 0, 0, 0, 0]) for k in range(3)]
-    counts["u"] = 1  # what was kept two messages ago: they are published again as they were
+    counts["u"] = 1  # the number from two messages ago: those messages are published again unchanged
     publish(11, (1.0,))
     publish(12, (2.0,))
     assert messages[3:] == messages[1:3]
@@ -396,7 +396,7 @@ def test_a_solver_begins_a_tick_once_and_is_polled_until_its_answer_is_there(mon
         assert not part.finished(5)
     assert asked == [("begin", "first", 5, {"u": 1.0})]
     assert step.x == "begun"
-    assert timer.asked[2:] == [(2 * MS, 0)]  # begun once
+    assert timer.asked[2:] == [(2 * MS, 0)]  # the timer was started once
     timer.call()
     assert (resumed, timer.now) == ([], (2 * MS, 0))
     block.is_ready = True
@@ -460,7 +460,7 @@ def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     hold.ask("step", 3)
     hold.ask("resume")
     hold.ask("pause")
-    assert hold.holds(0)  # steps that were not executed are forgotten
+    assert hold.holds(0)  # requested steps that were not executed are discarded
 
 
 def test_a_pace_is_checked_a_hundred_times_a_second_until_there_is_none():

@@ -144,7 +144,7 @@ def replaceable(rig):
     return [m.name for m in rig.members if m.name != CLOCK_NODE]
 
 
-@pytest.mark.long  # daily in real time, and a plain plant below
+@pytest.mark.long  # the daily set has the run in real time and the plain plant below
 @pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_plant", "motor_reference"])
 def test_a_plain_node_replaces_a_softrig_node(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []

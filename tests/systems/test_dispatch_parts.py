@@ -255,13 +255,13 @@ def linear(*rows):
 @pytest.mark.parametrize(
     ("start", "demand", "wanted"),
     [
-        ((5.0, 5.0, 5.0), 17.0, (5.0, 7.0, 5.0)),  # the cheapest of those that can take it all
+        ((5.0, 5.0, 5.0), 17.0, (5.0, 7.0, 5.0)),  # the cheapest unit that can supply all of the difference
         ((5.0, 5.0, 5.0), 13.0, (3.0, 5.0, 5.0)),  # the excess is removed from the most expensive unit
         ((5.0, 9.0, 5.0), 21.0, (5.0, 9.0, 7.0)),  # the cheapest unit has too little room
         # no unit has enough room: the one with the most moves to its limit first
         ((9.0, 8.0, 9.5), 29.5, (10.0, 10.0, 9.5)),
         ((11.0, -1.0, 5.0), 15.0, (10.0, 0.0, 5.0)),  # limits before all
-        ((5.0, 5.0, 5.0), 15.0 + 1.4e-8, (5.0, 5.0, 5.0)),  # less than a billionth of the demand is nothing
+        ((5.0, 5.0, 5.0), 15.0 + 1.4e-8, (5.0, 5.0, 5.0)),  # a difference below a billionth of the demand is ignored
         ((5.0, 5.0, 5.0), 15.0 + 1.6e-8, (5.0, 5.0 + 1.6e-8, 5.0)),
         ((0.1, 0.1, 0.1), 0.3 + 2e-9, (0.1, 0.1 + 2e-9, 0.1)),  # nor less than 1e-9 MW
         ((0.1, 0.1, 0.1), 0.3 + 0.9e-9, (0.1, 0.1, 0.1)),
@@ -295,7 +295,7 @@ def test_the_price_is_between_the_dearest_running_unit_and_the_cheapest_with_roo
 def test_equal_incremental_costs_are_found_as_by_bisection():
     for demand in (250.0, 301.0, 388.8, 500.0, 650.0, 739.0):
         low, high = 0.0, 100.0
-        for _ in range(100):  # of the price: each unit where 2 a P + b meets it
+        for _ in range(100):  # bisect the price; each unit runs where 2 a P + b equals it
             price = 0.5 * (low + high)
             P = [min(max((price - r[3]) / (2 * r[2]), r[0]), r[1]) for r in FOUR.table]
             low, high = (price, high) if sum(P) < demand else (low, price)
@@ -413,7 +413,7 @@ def test_break_points_are_evenly_spaced_in_each_arch():
     for nseg in (1, 2, 3, 4):
         three, half, smooth, fixed = breakpoints(FOUR, nseg)
         assert three.tolist() == pytest.approx(np.linspace(100.0, 400.0, 3 * nseg + 1).tolist())
-        partial = max(1, round(nseg / 2))  # of the half arch from 100 to 120
+        partial = max(1, round(nseg / 2))  # the segments of the half arch from 100 to 120
         wanted = [*np.linspace(20.0, 100.0, 2 * nseg + 1)[:-1], *np.linspace(100.0, 120.0, partial + 1)]
         assert half.tolist() == pytest.approx(wanted)
         assert smooth.tolist() == pytest.approx(np.linspace(50.0, 150.0, nseg + 1).tolist())
@@ -532,7 +532,7 @@ def test_the_nlp_is_the_best_of_its_arches(P):
         (False, (200.0, 100.0), False, False),
         (True, (math.nan, 100.0), False, False),
         (True, (200.0, 100.0), True, False),
-        (True, (250.0, 50.0), False, None),  # dearer than what was given
+        (True, (250.0, 50.0), False, None),  # more expensive than the given schedule
         (True, (200.0 + 0.9e-5, 100.0 - 0.9e-5), False, True),  # ends a tolerance inside its bounds
     ],
 )
@@ -684,7 +684,7 @@ def test_pieces_are_filled_as_a_linear_programme_fills_them(plain):
         room = float((weight[owner] * width).sum())
         remaining, more = np.sort(chance.uniform(0.0, room, 2))
         if k % 2:
-            more = remaining  # no losses: both sides of the balance are one
+            more = remaining  # without losses both sides of the balance are equal
         P = np.zeros(n)
         relaxed = branch.Relaxed(
             np.empty(n), np.empty(n), weight, P, slope, width, owner, beyond, np.empty(pieces), np.empty(pieces, int)
@@ -1014,7 +1014,7 @@ def test_a_dispatch_is_requested_at_the_expected_ticks():
         (900.0, table, None, 900.0),
         (900.0, table, None, None),
         (900.0, dear, None, 900.0),
-        (900.0, broken, None, None),  # nothing is new but a table that does not count
+        (900.0, broken, None, None),  # the only new message is an invalid table
         (900.0, broken, None, None),
         (910.0, broken, None, 910.0),
         (2000.0, broken, None, None),  # beyond the units
@@ -1113,7 +1113,8 @@ def test_reports_of_a_dispatch_are_as_expected():
     solver, x, values = answered(dispatch)
     assert values["setpoints"] == (200.0, 99.0)
     of = [cost(r, p) for r, p in zip(PAIR.table, dispatch.P, strict=True)]
-    assert values["result"] == pytest.approx((200.0, of[0], 2.0, 1.0, 99.0, of[1], 2.0, 0.0))  # arch, at its end
+    # the arch evaluated at its end
+    assert values["result"] == pytest.approx((200.0, of[0], 2.0, 1.0, 99.0, of[1], 2.0, 0.0))
     assert values["summary"] == (300.0, 10.0, 7.0, 3.0, -1e9, 5.0, 3.0, 4.0, 1.0)
     assert x.last is dispatch
     assert solver.reports == {}

@@ -177,7 +177,7 @@ def test_the_axis_controller_is_exact_at_its_limits():
     assert reported("none", (0, 0), (100, 0))[0] == []
     assert reported("none", (0, 0), (110, 0)) == (["feedback age"], 0.0)
     assert reported("none", (0, 0), (10, 11)) == (["feedback time"], 0.0)
-    assert reported("none", (0, 0), (10, 0), (20, 0))[0] == []  # the same again is no step back
+    assert reported("none", (0, 0), (10, 0), (20, 0))[0] == []  # a repeated time is not a step back
     assert reported("none", (0, 0), (10, 10), (20, 0))[0] == ["feedback order"]
     assert reported("predictor", (0, 0), (10, 10), (20, 0))[1] != 0.0
     assert reported("predictor", (0, 0), (60, 0))[0] == []  # five periods left out
@@ -277,9 +277,9 @@ def test_another_set_point_counts_unless_a_reference_has_overruled_it(make):
     assert x.r == -8.0
     if make is not DcMotorPid:
         assert x.size == 8.0
-        assert make(set_point=0.0).go_on(x, after.p)[:2] == (0.0, 8.0)  # K stays that of the one before
+        assert make(set_point=0.0).go_on(x, after.p)[:2] == (0.0, 8.0)  # K is that of the previous block
     same = make(set_point=5.0, reference_limit=6.0)
-    assert same.go_on(x, before.p).r == -8.0  # what is followed stays under a smaller limit
+    assert same.go_on(x, before.p).r == -8.0  # the reference that is followed stays below a smaller limit
 
 
 @pytest.mark.parametrize("command", [12.0, -12.0])
@@ -519,7 +519,7 @@ def test_figures_of_the_flux_are_loops_over_its_samples():
 
 def test_the_last_revolution_is_the_last_whole_turn():
     turned = np.exp(1j * np.radians(np.arange(0.0, 900.0, 45.0)))  # 20 samples, the last at 855 degrees
-    assert flux.last_revolution(turned).size == 8  # the one a whole turn before the last is left out
+    assert flux.last_revolution(turned).size == 8  # the sample a whole turn before the last one is excluded
     assert flux.last_revolution(turned[:8]) is None
     backwards = flux.last_revolution(turned.conj())
     assert backwards.tolist() == turned.conj()[-8:].tolist()

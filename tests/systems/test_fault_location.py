@@ -567,7 +567,7 @@ def test_a_rejected_sample_is_a_gap(record):
 
 
 def test_going_back_in_a_record_repeats_it():
-    """Noise and samples included, twice, also where another record has begun in between."""
+    """Noise and samples repeat too, twice, even if another record has begun in between."""
     plant = ByHand(LinePlant(measurement={"profile": "m4k", "noise_snr_db": 40.0}, duration=0.01))
 
     def outputs_from(first, pressed=-1):
@@ -619,7 +619,7 @@ def test_comtrade_files_are_read_as_they_were_written(record, tmp_path, file_for
 
 @pytest.mark.parametrize(("switches", "words"), [(1, 1), (16, 1), (17, 2), (32, 2), (33, 3)])
 def test_comtrade_with_switches_has_room_for_16_of_them_a_word(record, tmp_path, switches, words):
-    """Against the reader: it finds the last switch closed, so each sample has these words; what has room is exact."""
+    """The reader finds the last switch closed, so each sample holds these words; their number fits exactly."""
     cfg, data = write_comtrade(tmp_path / "both", record, file_format="binary")
     lines = cfg.read_text().splitlines()
     lines[1] = f"{12 + switches},12A,{switches}D"

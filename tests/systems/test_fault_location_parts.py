@@ -780,7 +780,7 @@ def test_phasors_of_both_ends_agree_at_the_fault(x):
     ends_of = []
     for length, i in ((x, i_s), (100.0 - x, i_r)):
         ch, sh = np.cosh(gamma * length), np.sinh(gamma * length)
-        ends_of += [u * ch - zc * i * sh, -(i * ch - u * sh / zc)]  # into the line at the end
+        ends_of += [u * ch - zc * i * sh, -(i * ch - u * sh / zc)]  # the current flows into the line at the end
     t = np.arange(400) / rate
     both = np.array([(p * np.exp(1j * omega * t)).real for p in ends_of])
     work = types.SimpleNamespace(

@@ -356,7 +356,7 @@ def test_processes_started_by_an_fmu_end_with_it(fmus, ending, tmp_path):
         far_end.recv()
 
     node = context.Process(target=runs)
-    with warnings.catch_warnings():  # the other threads are those of libraries that see to forks
+    with warnings.catch_warnings():  # the other threads belong to libraries that handle forks
         warnings.simplefilter("ignore", DeprecationWarning)
         node.start()
     assert near_end.poll(PATIENCE)

@@ -307,7 +307,7 @@ def test_figures_of_a_motion_are_loops_over_its_samples(sign, name):
     t = np.arange(200) * 0.001
     v = sign * (np.minimum(6.0 * t, 0.5) + 0.02 * np.sin(80.0 * t) + 0.002 * rng.normal(size=200))
     x, F = np.cumsum(v) * 0.001, sign * (10.0 + 3.0 * np.sin(300.0 * t) + rng.normal(size=200))
-    when = np.arange(40) * 0.005 + 0.0002  # the reference comes less often, between the samples
+    when = np.arange(40) * 0.005 + 0.0002  # the reference is published less often, between the samples
     wanted = sign * np.minimum(6.0 * when, 0.5)
     signals, v_d = drive(t, v, x, F, (when, wanted), name), sign * 0.5
     fast = [sign * b for a, b in zip(t, v, strict=True) if a >= 0.09]
@@ -341,17 +341,18 @@ def test_figures_of_a_motion_are_loops_over_its_samples(sign, name):
     assert figures.arrival(signals, v_d=v_d, part=1.2, drive=name) == math.inf
     assert figures.arrival(signals, v_d=v_d, part=-0.5, drive=name) == 0.0
     way = drive(np.arange(3) * 1.0, v[:3], np.array([0.0, 0.5, 1.0]), np.array([4.0, 6.0, 8.0]))
-    assert figures.mean_force(way, pitch=0.5) == 7.0  # just as far as is needed, the first sample a whole way back
+    # exactly the required distance; the first sample is a whole pitch back
+    assert figures.mean_force(way, pitch=0.5) == 7.0
 
 
 def test_the_peak_force_of_a_motion_both_ways_is_the_larger_one():
     t, F = np.arange(6) * 1.0, np.array([0.0, 5.0, 2.0, 0.0, -7.0, -1.0])
     for x, peak in (
-        ([0, 1, 2, 3, 2.7, 2.6], 5.0),  # some way back: still forwards
+        ([0, 1, 2, 3, 2.7, 2.6], 5.0),  # a short way back does not change the direction
         ([0, 1, 2, 2, 1, 0], -7.0),  # there and back
         ([0, -1, -2, -2, -3, -4], -7.0),
         ([0, 0, 0, 0, 0, 0], 5.0),
-        ([0, 5, 10, 10, 9, 8], 5.0),  # back by a fifth: on the edge
+        ([0, 5, 10, 10, 9, 8], 5.0),  # a fifth of the way back is exactly the limit
     ):
         signals = drive(t, F, np.array(x, float), F)
         assert figures.peak_force(signals, width=1.0) == peak

@@ -96,7 +96,7 @@ def test_a_tape_gives_the_values_of_its_function(x0, x1):
 def test_outputs_that_are_structurally_zero_are_zero_in_their_places():
     x = ca.SX.sym("x", 2)
     f = ca.Function("f", [x], [ca.vertcat(ca.SX(1, 1), ca.sin(x[0]), ca.SX(2, 1), x[0] * x[1], ca.SX(1, 1))])
-    assert f.nnz_out(0) == 2  # casadi writes no others
+    assert f.nnz_out(0) == 2  # casadi exports only the nonzero entries
     result = np.full((1, 6), np.nan)
     evaluate(Tape.of(f), np.array([[0.5, 3.0]]), result)
     assert result[0].tolist() == [0.0, pytest.approx(math.sin(0.5)), 0.0, 0.0, 1.5, 0.0]

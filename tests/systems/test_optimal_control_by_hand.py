@@ -166,7 +166,7 @@ def test_pontryagins_conditions_are_those_of_the_hamiltonian(R):
         (np.array(problem.extremal.function(z + d)[0]) - problem.extremal.function(z - d)[0]) / 2e-5 for d in steps
     ]
     columns = np.zeros((12, 2))
-    columns[:, 0] = [*z, *np.arange(8.0)]  # S, a column a costate
+    columns[:, 0] = [*z, *np.arange(8.0)]  # S has one column for each costate
     expand(problem.extremal.variational, columns, np.zeros((0, 2)), 1.0)
     moved = np.hstack(jacobian) @ np.arange(8.0).reshape(2, 4).T
     assert columns[4:, 1].tolist() == pytest.approx(moved.T.ravel().tolist(), rel=1e-7, abs=1e-7)
@@ -282,10 +282,10 @@ def test_newton_halves_its_steps_if_allowed_and_keeps_the_best(monkeypatch):
     assert len(asked) == 3  # two steps that change nothing, from what is accurate
     asked.clear()
     newton(None, np.array([0.0]), 1, 1, 1.0, 1e-9)
-    assert len(asked) == 3  # just so
+    assert len(asked) == 3  # an error equal to the tolerance is accurate
     asked.clear()
     assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-10)[1] == 1e-9
-    assert len(asked) == 41  # from what is not, all of them
+    assert len(asked) == 41  # from an inaccurate point all 40 steps are made
     asked.clear()
     monkeypatch.setattr(mvim, "_ends", ends_of(lambda a: a * a, lambda a: 2.0 * a, asked))
     assert newton(None, np.array([1.0]), 1, 1, 1.0, 1e-30, steps=7)[0][0] == 2.0**-7
@@ -335,7 +335,7 @@ def test_a_costate_follows_its_branch(monkeypatch, order, reached, answer):
     def replaced(problem, alpha, order, stages, T, accurate, halvings=0, steps=40):
         start = round(float(alpha[0]), 9)
         if start in reached and halvings == 0:
-            return np.array([reached[start]]), 1e-8  # just accurate
+            return np.array([reached[start]]), 1e-8  # exactly the tolerance
         return (np.array([2.0]), 1e-8) if start == 2.0 and halvings == 12 else (alpha, 1.0)
 
     monkeypatch.setattr(mvim, "newton", replaced)
@@ -759,7 +759,7 @@ def test_the_evaluator_is_a_loop_over_its_inputs(form):
         ({"residual": 0.99e-4}, 0.0),
         ({"J_series": 1.0 - 0.9e-6}, 0.0),
         ({"J_series": 1.0 - 1.1e-6}, 1.0),
-        ({"J_series": 0.5, "horizon": 2.9}, 0.0),  # of what is left after a late start
+        ({"J_series": 0.5, "horizon": 2.9}, 0.0),  # the cost of the horizon that a late start leaves is not judged
     ],
 )
 def test_the_evaluator_flags_impossible_optima(summary, flag):

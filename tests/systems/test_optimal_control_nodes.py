@@ -116,7 +116,7 @@ def test_diagnostics_name_alpha_and_the_costs_of_all_orders():
     assert len(health["J per order"].split()) == len(health["ratio per order"].split()) == 8
     assert health["order of the paper's rule"] == "5"
     assert "converged" in health["reason"]
-    assert "stages" not in health["reason"]  # the last order meets what is asked, though the first ones do not
+    assert "stages" not in health["reason"]  # the last order reaches the tolerance, though the first ones do not
 
 
 def test_orders_rise_until_the_rule_is_met():

@@ -499,7 +499,7 @@ def test_the_stretch_target(name):
 
 
 def test_noise_costs_a_percent():
-    """Half a percent of noise on voltage and current, eps 2 %: still the global peak, within 2 %."""
+    """With 0.5 % of noise on voltage and current and eps = 2 %, the global peak is still reached within 2 %."""
     noisy = {"pv_plant.noise": 0.005, "mppt_optimizer.eps": 0.02, "mppt_optimizer.algorithm": "certified"}
     figures = simulate("pv_mppt_s2", overrides=noisy, seed=4).figures
     assert figures["in_global_basin"] == 1.0

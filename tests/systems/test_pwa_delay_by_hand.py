@@ -310,7 +310,8 @@ def test_the_largest_delay_is_found_by_doubling_and_bisection():
     assert len(asked) == 3 + 10  # the gap of 1 in ten halves is 1/1024 of it
     endless = _bisect(lambda h, shortest=None: made(h, True), made(1.0, True), 1.0, 1e-3, 100.0)
     assert endless.h == 64.0  # 128 is beyond what is asked for
-    assert _bisect(lambda h, shortest=None: made(h, h < 1.5), made(1.0, True), 1.0, 0.5, 9.0).h == 1.0  # wide enough
+    # one halving is enough
+    assert _bisect(lambda h, shortest=None: made(h, h < 1.5), made(1.0, True), 1.0, 0.5, 9.0).h == 1.0
 
 
 def test_the_search_over_constant_delays_leaves_no_gap():
@@ -623,7 +624,8 @@ def test_invalid_systems_are_refused():
             PwaSystem(**values)
     split = PwaSystem(**(both | {"E": half, "e": offset}))
     assert split.faces() == [(0, 0, 1), (1, 0, 0)]
-    assert (split.cell(np.zeros(1), np.ones(1)), split.cell(-np.ones(1), np.ones(1))) == (0, 1)  # on the face the first
+    # on a face between two cells the first one is used
+    assert (split.cell(np.zeros(1), np.ones(1)), split.cell(-np.ones(1), np.ones(1))) == (0, 1)
     away = PwaSystem(**(both | {"E": half, "e": (np.full(1, -0.3), np.full(1, 0.3))}))
     with pytest.raises(NotApplicable, match=r"^a cell does not hold the origin; conditions"):
         require_equilibrium(away)
@@ -642,7 +644,7 @@ def test_the_reason_why_a_system_has_no_criterion_is_named():
     require_no_sliding(
         from_lines([np.zeros((2, 2))] * 2, [np.zeros((2, 2))] * 2, (), across, a=[[1.0, 0.0], [-1.0, 0.0]]), 0.1
     )
-    for scale in (1.0, 3e-10, 1e-14):  # an offset that no shift removes is none that is small in some units
+    for scale in (1.0, 3e-10, 1e-14):  # an offset that no shift removes is reported in any unit
         with pytest.raises(NotApplicable, match=r"^no equilibrium: the offset"):
             require_equilibrium(
                 from_lines([-np.eye(2)] * 2, [np.zeros((2, 2))] * 2, across, a=[[scale, 0.0], [3.0 * scale, 0.0]])
@@ -812,7 +814,7 @@ def test_a_monitor_publishes_once_its_record_is_complete():
     rows, rates = np.array([*record[-64:], 9.0]), np.array([*slopes[-64:], -0.64 * record[-66]])
     assert outputs["value"][0] == near(
         functional(system, m, rows[:, None], rates[:, None], 1.0)
-    )  # not beyond the bound
+    )  # the value stays within the bound
     assert monitor.refused(0) == {}
     assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=matrices, verdict=verdict) == {}  # from anew
     for h, coarse in ((0.64, False), (0.63, True)):

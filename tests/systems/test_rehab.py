@@ -218,7 +218,7 @@ def test_reference_meets_its_numbers_and_its_derivatives_fit():
 
     assert at(0.0)[:2] == pytest.approx((-29.751, -89.998), abs=1e-3)
     assert at(8.0)[:2] == pytest.approx((44.998, -45.0), abs=1e-3)
-    assert at(8.0)[2:4] == pytest.approx((30.0, 30.0), abs=5e-3)  # the way down takes 0.0016 deg/s off the hip
+    assert at(8.0)[2:4] == pytest.approx((30.0, 30.0), abs=5e-3)  # the descent slows the hip by 0.0016 deg/s
     assert at(15.0)[:2] == pytest.approx((118.895, -0.016), abs=1e-3)
     assert at(30.0)[2] == pytest.approx(0.199, abs=1e-3)
     assert at(30.0 - 1e-9)[2] == pytest.approx(-0.199, abs=1e-3)
@@ -319,7 +319,7 @@ def test_the_controller_continues_from_the_voltage_that_the_plant_applied():
         np.testing.assert_allclose(fed[e].x, agreed[e].x, atol=1e-12)
         assert measures.peak(fed, v) > 6.0
     fed_limited, blind_limited = (np.abs(s[V_SIGNAL[0]].x) > 6.0 for s in (fed, blind))
-    assert blind_limited.sum() > 2 * fed_limited.sum()  # winds up and comes back late
+    assert blind_limited.sum() > 2 * fed_limited.sum()  # the integral winds up and recovers late
 
 
 # B6: repeatability, equation (25)

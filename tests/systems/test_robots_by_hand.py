@@ -232,7 +232,7 @@ def test_an_input_of_the_largest_allowed_age_is_not_lost(name, answer):
     robot.block.ages = {name: 5 * MS + 1}.get
     late = robot.update(MS, **TICK)
     assert late["controller_state"][:2] == near((0.01, 0.01))
-    if name == "reference" and answer == "hold":  # on the last position, as if nothing were to move
+    if name == "reference" and answer == "hold":  # the joint holds its last position as if there were no motion
         still = ByHand(VoltageController()).update(0, **TICK | {"reference": (0.21, -0.49, 0.0, 0.0, 0.0, 0.0)})
         assert late["motor_command"] == still["motor_command"]
         assert robot.reports["reference"][:2] == (
@@ -248,7 +248,7 @@ def test_ticks_that_are_rejected_before_the_first_good_one_are_not_answered():
     robot = ByHand(VoltageController(stale_after=2))
     assert [robot.refused(k) for k in range(4)] == [None] * 4
     assert robot.reports["SAFE"][:2] == (Level.ERROR, "SAFE: 2 ticks with a rejected input: 0 V")
-    robot.update(5, **TICK)  # a good one, and they are counted anew
+    robot.update(5, **TICK)  # a good sample sets the count of bad ones to zero
     assert [robot.refused(k) is None for k in range(6, 10)] == [True, True, False, False]
     bent = ByHand(Impedance(stale_after=2))
     assert [bent.refused(k) for k in range(4)] == [None] * 4
@@ -415,7 +415,8 @@ def test_the_watch_of_the_leg_is_exact_at_its_limits():
         assert watched(q) == ((True, True), False)
     for q in ((2.2501, -1.0), (-0.7501, -1.0), (0.0, 0.2501), (0.0, -1.7501)):
         assert watched(q) == ((True, True), True)
-        assert watched(q, entered=(False, False)) == ((q[0] == 0.0, q[1] == -1.0), False)  # never been inside
+        # the joint has never been inside its range
+        assert watched(q, entered=(False, False)) == ((q[0] == 0.0, q[1] == -1.0), False)
     for v, t, live, stops in (
         ((1.0, -1.0), half, 0, False),
         ((1.0001, 0.0), half, 0, True),
@@ -669,7 +670,8 @@ def test_the_tuner_requests_when_its_button_is_pressed_and_reports_the_best():
         else:
             assert outputs["result"][2] == best
         assert block.answer(before, k, Reply(request, value), False)[0] == before  # no new value
-        assert block.answer(before, k, Reply(((-1.0,), 0, 0), value), True)[0] == before  # a reply of another search
+        # the reply belongs to another search
+        assert block.answer(before, k, Reply(((-1.0,), 0, 0), value), True)[0] == before
         x, request = block.request(x, k, start=(1.0,))
         if request is None:
             break

@@ -373,7 +373,7 @@ def test_figures_of_the_queue_are_loops_over_its_samples():
     x = np.sin(t) * 3.0 + 14.0
     queue = np.where(t < 5.0 - 1e-9, 100.0, 150.0)
     signals = {"w": (t, x), "q": (t, queue), "network/truth/served/position": (t, 50.0 + 3000.0 * t)}
-    late = x[50:]  # of the last five seconds, the first of them with
+    late = x[50:]  # the last five seconds with their first sample
     mean = sum(late) / len(late)
     assert figures.deviation(signals, "w") == near(math.sqrt(sum((v - mean) ** 2 for v in late) / len(late)))
     assert figures.deviation(signals, "w", last=0.0) == 0.0
