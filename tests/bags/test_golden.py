@@ -347,7 +347,7 @@ def test_topics_that_a_rig_publishes_since_are_not_compared(tmp_path, capsys):
 
 
 def test_bags_are_selected_by_a_node(tmp_path, capsys):
-    """By its name, or by that of its executable."""
+    """The node is named by its name or by its executable."""
     for name in ("dc_motor_smc_b2", "buck_pi"):
         create(tmp_path / name, name, 0.02).make()
     for node, bag in (("dc_motor_smc", "dc_motor_smc_b2"), ("dcdc_plant", "buck_pi")):

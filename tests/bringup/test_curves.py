@@ -173,7 +173,7 @@ def test_a_band_shows_quantiles_at_times_common_to_all_runs(held):
 
 
 def test_only_signals_that_two_runs_show_in_one_plot_are_overlaid():
-    """One shows x, the other x and r: both have x, and no plot in common; a third that shows x makes one."""
+    """One run plots x, the other x with r, so they have no plot in common; a third run that plots x has one."""
     t = np.arange(5) / 10.0
     about = Shown(unit="m", held=False, reference=False)
 

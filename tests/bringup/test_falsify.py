@@ -205,7 +205,7 @@ def test_corners_come_first_and_coordinate_search_finds_the_violating_one():
 
 
 def test_profiles_are_constant_before_they_are_searched_piece_by_piece():
-    """Two inputs that violate between their bounds: rarely anywhere, often where both are constant."""
+    """The violation by two inputs between their bounds is rare in general and frequent where both are constant."""
 
     def asked_until(groups, seed):
         asked = []

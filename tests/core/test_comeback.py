@@ -82,7 +82,7 @@ def killed(kind, seed, kills=1):
 
 @pytest.mark.parametrize("kind", few([*KINDS, *COUNTED], 9))
 def test_a_killed_node_restarts(kind):
-    """At its start, in the middle, at the end; with or without what it had just sent."""
+    """It is killed at its start, in the middle or at the end, with or without the messages it had just sent."""
     met = []
     for seed in range(3):
         wrong, victims = killed(kind, seed)
@@ -94,7 +94,7 @@ def test_a_killed_node_restarts(kind):
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [*KINDS, *COUNTED])
 def test_killed_nodes_restart(kind):
-    """Up to three, of which one may die while another one restarts, or die again."""
+    """Up to three nodes are killed; one may die while another one restarts, or twice."""
     for seed in range(3, 60):
         assert killed(kind, seed, kills=1 + seed % 3)[0] == [], seed
 

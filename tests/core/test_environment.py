@@ -145,7 +145,7 @@ DRIVE = {"what": "induction_dtc", "duration": 0.02, "reward": lambda now: now["c
     pytest.param(DRIVE | {"replace": "speed_controller"}, 20.0, 180, marks=pytest.mark.long),
 ])  # fmt: skip
 def test_many_environments_in_native_code_equal_single_ones(keys, size, least):
-    """Over ends of episodes, with noise, and where native code discards a tick."""
+    """They are equal across the ends of episodes, with noise, and where native code discards a tick."""
     one = gymnasium.vector.SyncVectorEnv([lambda: RigEnv(**keys)] * 3)
     many = gymnasium.make_vec("softrig/Rig-v0", num_envs=3, **keys)
     draws = np.random.default_rng(1)

@@ -128,7 +128,7 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
 
 @pytest.mark.long
 def test_every_live_number_can_be_set_up_at_the_edges_of_its_range():
-    """One at a time: a value that a range accepts is set up, or refused in words, never by an error of arithmetic."""
+    """Each value that a range accepts is set up, or refused with a message, and never raises an arithmetic error."""
     tried, wrong = 0, []
     for block in {block for _, _, block in blocks()}:
         for d in declarations(block.Params):

@@ -246,7 +246,7 @@ def test_a_text_that_numba_refuses_is_reported_and_not_tried_again(monkeypatch: 
 
 
 def test_cached_texts_are_found_by_the_classes_of_blocks() -> None:
-    """Of those that do not only observe, in their order."""
+    """Blocks that only observe do not count; the order of the others does."""
     ended(going({"body": Body(), "law": Law(), "seeing": watching({"body": Body()}, True)()}, 0.05))
     ended(going({"wide": Wide()}, 0.05, make=engine.plain))
 

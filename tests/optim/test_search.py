@@ -34,7 +34,7 @@ class Walk(Search):
 
 
 def test_a_search_as_a_value_continues_from_any_of_its_past():
-    """Also after another branch has continued from there; equal by its calls, and copied with them."""
+    """It continues also after another branch has begun at the same state; searches with equal calls are equal."""
     made = []
 
     def make(rng):

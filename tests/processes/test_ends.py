@@ -70,7 +70,7 @@ def test_a_signal_at_a_place_where_python_swallows_it_still_stops():
 
 
 def test_a_second_signal_that_arrives_with_the_first_changes_nothing_and_prints_nothing(capfd):
-    """Python prints a traceback for one that it finds ignored although its own handler has caught it."""
+    """Otherwise Python prints a traceback for a signal that its handler has caught and that is ignored by then."""
 
     def both(*numbers):
         # Both are pending when Python looks: it calls the handlers in the order of their numbers.

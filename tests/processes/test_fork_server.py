@@ -188,7 +188,7 @@ def test_without_a_server_the_run_is_the_same(monkeypatch, tmp_path):
 @pytest.mark.long
 @pytest.mark.timeout(7200)
 def test_many_runs_through_one_server_leave_no_file_open(tmp_path, monkeypatch):
-    """Neither here nor in the server; SOFTRIG_SERVER_RUNS sets how many."""
+    """Files are counted here and in the server; SOFTRIG_SERVER_RUNS sets the number of runs."""
     monkeypatch.setattr(fork_server, "_server", None)
     rig = rig_of(make_scenario(BASIC, 0.05, start_timeout=900.0))
     runs = int(os.environ.get("SOFTRIG_SERVER_RUNS", "40"))

@@ -90,7 +90,7 @@ def test_fuzzy_law_ramps_as_its_scaling_factors_say(change, share):
 
 
 def test_manipulator_of_twice_the_mass_falls_as_fast():
-    """Galilei: masses and inertias doubled, motors without inertia or voltage."""
+    """As Galilei found: masses and inertias are doubled, and the motors have neither inertia nor voltage."""
     falls = []
     for share in (1.0, 2.0):
         links = {"mass": [share * m for m in (19.0, 18.18, 10.99)]}

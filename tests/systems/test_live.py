@@ -114,7 +114,7 @@ def cut(recording, t):
 
 @pytest.mark.parametrize("name", few(EVERY, 6))
 def test_a_change_takes_effect_at_its_tick_and_not_before(name):
-    """And is recorded with that tick, under its name, with its value."""
+    """The change is recorded with its tick, name and value."""
     rig, recording = run_of(name)
     at = TIMES[name][1]
     for member in rig.members:
@@ -133,7 +133,7 @@ def test_a_change_takes_effect_at_its_tick_and_not_before(name):
 
 
 def test_every_live_parameter_may_change_in_some_rig():
-    """One that the others of its block, or the rig, would always refuse is not live."""
+    """A parameter whose every change the block or the rig would refuse must not be declared live."""
     messages, allowed = set(), set()
     for name in CASES:
         for member in run_of(name)[0].members:

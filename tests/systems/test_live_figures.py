@@ -104,7 +104,7 @@ KINDS = {read_alike(s): s.name for s in map(load_scenario, reversed(list_scenari
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(KINDS))
 def test_one_run_of_each_kind_measures_the_same(name, monkeypatch):
-    """Over twenty of the clock's ticks and five of the slowest node."""
+    """Each run lasts twenty ticks of the clock and five of the slowest node."""
     monkeypatch.setenv("SOFTRIG_JIT", "0")
     rig = rig_of(name)
     if any(entry.external for entry in rig.scenario.nodes.values()):

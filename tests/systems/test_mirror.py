@@ -163,7 +163,7 @@ def acting(gain):
 
 
 def test_a_reverse_acting_loop_settles_as_the_direct_one():
-    """The case of a reverse-acting plant behind a saturated amplifier: mirror images to the last bit."""
+    """Behind a saturated amplifier the run of a reverse-acting plant is the mirror image, to the last bit."""
     ends, commands = [], []
     for gain in (1.0, -1.0):
         signals = acting(gain)

@@ -330,7 +330,7 @@ def test_the_end_conditions_and_their_jacobian_are_differences():
     ],
 )
 def test_a_costate_follows_its_branch(monkeypatch, order, reached, answer):
-    """Newton's method is replaced by one that reaches the given root, from 1 + 1 the 2, and nothing else."""
+    """Newton's method is replaced by one that reaches the given root, and 2 from a start at 2, and fails elsewhere."""
 
     def replaced(problem, alpha, order, stages, T, accurate, halvings=0, steps=40):
         start = round(float(alpha[0]), 9)
