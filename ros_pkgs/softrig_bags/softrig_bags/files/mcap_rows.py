@@ -59,8 +59,8 @@ class _Feed:
             records["data"] = np.frombuffer(b"".join(data), np.uint8).reshape(count, -1)
             return times, [records]
         result = [self._records(times[k : k + 1], len(message)) for k, message in enumerate(data)]
-        for one, message in zip(result, data, strict=True):
-            one["data"] = np.frombuffer(message, np.uint8)
+        for record, message in zip(result, data, strict=True):
+            record["data"] = np.frombuffer(message, np.uint8)
         return times, result
 
     def _records(self, times: NDArray[np.int64], length: int) -> NDArray[Any]:
@@ -112,8 +112,8 @@ def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], offsets
     rows = [(rank, np.flatnonzero(ranks == rank)) for rank in range(len(feeds))]
     index = {}
     # Topics are listed in the order of their first messages.
-    for rank, own in sorted((each for each in rows if each[1].size), key=lambda each: int(each[1][0])):
-        selected, done = offsets[own], 0
+    for rank, members in sorted((each for each in rows if each[1].size), key=lambda each: int(each[1][0])):
+        selected, done = offsets[members], 0
         times, blocks = feeds[rank].read(len(selected))
         index[feeds[rank].number] = times, selected
         for records in blocks:

@@ -537,9 +537,9 @@ def _record_end(signals: SignalMap) -> float:
 def mean_square_over(x: Array, gaps: Array, middle: float = 0.0) -> float:
     """Average ``(x - middle) ** 2`` as `mean_over` does."""
     if _weights(gaps) is None and not is_long(x):
-        given = fixed(x), middle, pairs(len(x))
-        if squares.pays(*given):  # type: ignore[attr-defined]
-            return squares(*given) / len(x)
+        arguments = fixed(x), middle, pairs(len(x))
+        if squares.pays(*arguments):  # type: ignore[attr-defined]
+            return squares(*arguments) / len(x)
     return mean_over((x - middle) ** 2, gaps)
 
 

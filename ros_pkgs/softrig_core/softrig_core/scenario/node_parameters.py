@@ -30,15 +30,15 @@ def parameters(block: type[Block], values: Mapping[str, Any]) -> Any:
 
 
 @once_for_objects
-def _alone(given: Mapping[str, Any]) -> bool:
+def _alone(values: Mapping[str, Any]) -> bool:
     """Return whether parameters of a node refer to none of another one."""
-    return "$" not in str(given)
+    return "$" not in str(values)
 
 
 @once_for_objects
-def _own(block: type[Block], given: Mapping[str, Any]) -> Any:
+def _own(block: type[Block], values: Mapping[str, Any]) -> Any:
     """Build parameters that refer to none of another node: runs of a study share those of all nodes but the changed."""
-    return parameters(block, fill_parameters(given, lambda node, name: None))
+    return parameters(block, fill_parameters(values, lambda node, name: None))
 
 
 class NodeParameters:

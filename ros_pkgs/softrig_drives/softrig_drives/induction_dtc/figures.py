@@ -42,14 +42,14 @@ def _slope(t: Array, alpha: Array, beta: Array) -> complex:
     """Return the slope as `slope` does, by native code where that saves time."""
     if is_long(alpha):
         return slope(t, _complex(alpha, beta))
-    given = fixed(alpha), fixed(beta), 0.0, 0.0, _ones(t), pairs(len(alpha), 2)
-    if not products.pays(*given):  # type: ignore[attr-defined]
+    arguments = fixed(alpha), fixed(beta), 0.0, 0.0, _ones(t), pairs(len(alpha), 2)
+    if not products.pays(*arguments):  # type: ignore[attr-defined]
         return slope(t, _complex(alpha, beta))
     centred, squares = _centred(t)
     if not centred.any():
         return complex(np.nan, np.nan)
-    mean = np.complex128(complex(*products(*given))) / len(alpha)
-    total = products(*given[:2], float(mean.real), float(mean.imag), fixed(centred), given[-1])
+    mean = np.complex128(complex(*products(*arguments))) / len(alpha)
+    total = products(*arguments[:2], float(mean.real), float(mean.imag), fixed(centred), arguments[-1])
     return complex(np.complex128(complex(*total)) / squares)
 
 
