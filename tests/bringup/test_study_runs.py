@@ -1,12 +1,17 @@
 """One run of a study: its row is the one of the same run alone, whatever has run before it in the process."""
 
 import copy
+import hashlib
 import json
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
+from operator import itemgetter
 
 import pytest
+from softrig_bringup.study.definition import make_study
 from softrig_bringup.study.draw import Case
+from softrig_bringup.study.engine import run_study
 from softrig_bringup.study.work import Work, run
 from softrig_core.scenario.scenario import read_draft
 
@@ -70,3 +75,30 @@ def test_a_row_does_not_depend_on_the_runs_before_it(study):
     alone = [content(run(work)) for work in reversed(works(study, make()))]
     assert rows == alone[::-1]
     assert len(set(rows)) == len(rows)  # the first and the last one differ in their seeds
+
+
+def digest_alone(works):
+    """Run cases and return the digest of their rows; for a process of its own."""
+    return hashlib.sha256("".join(content(run(work)) for work in works).encode()).hexdigest()
+
+
+@pytest.mark.long
+def test_the_rows_of_a_whole_study_have_the_digest_of_separate_processes(tmp_path):
+    grid = {"im_plant.U_dc": [500.0, 520.0, 540.0], "im_plant.R_s": [3.6, 3.8]}
+    asked = {
+        "name": "whole",
+        "title": "whole",
+        "scenario": "induction_dtc",
+        "duration": 0.2,
+        "grid": grid,
+        "seeds": [1, 2],
+    }
+    study = make_study(asked)
+    rows = sorted(run_study(study, tmp_path, workers=2).rows(), key=itemgetter("number"))
+    cases = [Case(*(row[name] for name in Case._fields)) for row in rows]
+    alone = [Work(case, study.duration, runs=len(rows), scenario=None) for case in cases]
+    # Each process runs one case, so nothing of another run can be left in it.
+    with get_context("spawn").Pool(2, maxtasksperchild=1) as pool:
+        digests = pool.map(digest_alone, [[work] for work in alone], chunksize=1)
+    assert len(set(digests)) == len(rows) == 12
+    assert digests == [hashlib.sha256(content(row).encode()).hexdigest() for row in rows]
