@@ -102,7 +102,8 @@ class Deciding(Protocol):
 
 def decides(step: Step) -> bool:
     """Return whether a member may leave ticks to Python."""
-    return isinstance(step.block, Deciding)
+    # `isinstance` with a protocol takes some 10 us a member, in each run of a study.
+    return hasattr(type(step.block), Deciding.decides.__name__)
 
 
 def fits_64_bits(steps: Sequence[Step]) -> bool:

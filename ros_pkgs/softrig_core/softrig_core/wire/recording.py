@@ -236,7 +236,8 @@ class Topic:
         # The parts need not be joined for this.
         if parts := self.parts():
             last = next(part for part in reversed(parts) if part.number)
-            return int(last.part(last.number - 1, last.number).times[0])
+            last = last if isinstance(last, Columns) else last.part(last.number - 1, last.number)
+            return int(last.times[-1])
         return self.times[-1] if self.times else None
 
     def before(self, t: int) -> Topic:
