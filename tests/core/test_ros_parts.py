@@ -867,7 +867,7 @@ def test_the_garbage_collector_runs_rarely_while_it_finds_nothing():
 
         def collect(self, of=2):
             self.log.append(f"collect {of}")
-            return self.found
+            return self.matched
 
         def freeze(self):
             self.log.append("freeze")
@@ -894,7 +894,7 @@ def test_the_garbage_collector_runs_rarely_while_it_finds_nothing():
         for _ in range(99):
             garbage.step()
         assert gc.log == ["freeze"] * 99
-        gc.found = 1
+        gc.matched = 1
         garbage.step()
         for _ in range(10):
             garbage.step()
