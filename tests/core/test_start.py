@@ -703,6 +703,8 @@ def test_an_error_of_a_node_in_a_container_ends_the_run_in_its_name(capsys):
     other, _ = ended("running")
     other.middleware = SimpleNamespace(name="other")
     container.adapters = [other, fake]
+    for adapter in container.adapters:
+        adapter.drive = SimpleNamespace(settle=lambda: None)
     container.exchange = SimpleNamespace(culprit=lambda: "node")
     container._broke(ValueError("no"))
     assert (fake.state, other.state) == ("failed", "running")

@@ -531,8 +531,14 @@ def test_a_container_without_nodes_prints_its_usage(tmp_path):
 
 
 def test_failed_nodes_are_named_among_those_that_had_not_ended(monkeypatch):
-    def node(name, state):
-        return SimpleNamespace(middleware=SimpleNamespace(name=name), state=state, error=None, waits_for=[])
+    def node(name, state, settle=lambda: None):
+        drive = SimpleNamespace(settle=settle)
+        return SimpleNamespace(
+            middleware=SimpleNamespace(name=name), state=state, error=None, waits_for=[], drive=drive
+        )
+
+    def full():
+        raise OSError("disk full")
 
     monkeypatch.setattr(containers, "conclude", lambda node, stopped: 3 if node.state == "failed" else 0)
     ended, _, going = nodes = [node("a", "done"), node("b", "failed"), node("c", "running")]
@@ -545,3 +551,6 @@ def test_failed_nodes_are_named_among_those_that_had_not_ended(monkeypatch):
     going = node("c", "running")
     assert containers.Container._conclude(SimpleNamespace(adapters=[ended, going]), stopped=True) == 0
     assert going.state == "running"
+    going = node("c", "running", full)  # native ticks that cannot be recorded
+    assert containers.Container._conclude(SimpleNamespace(adapters=[going]), stopped=True) == 3
+    assert str(going.error) == "disk full"

@@ -72,9 +72,11 @@ class Container:
 
     def connect(self) -> None:
         """Connect the nodes and start them; an error describes a mismatch."""
-        for mode in ("lockstep", "realtime"):
-            if alike := [a for a in self.adapters if a.options.mode == mode]:
-                Group(alike)
+        # Native ticks are compiled here.
+        with interrupt.leaving(partial(leave, self.nodes, 0)):
+            for mode in ("lockstep", "realtime"):
+                if alike := [a for a in self.adapters if a.options.mode == mode]:
+                    Group(alike)
         for middleware in self._middlewares:
             middleware.report_ignored()
 
@@ -136,6 +138,11 @@ class Container:
 
     def _conclude(self, stopped: bool) -> int:
         """Write the results of every node and name the nodes that failed."""
+        for adapter in self.adapters:
+            try:
+                adapter.drive.settle()
+            except OSError as error:
+                adapter.error, adapter.state = adapter.error or error, "failed"
         failed = [a.middleware.name for a in self.adapters if a.state == "failed"]
         for adapter in self.adapters:
             if failed and adapter.state not in ("done", "failed"):

@@ -21,6 +21,7 @@ from .lockstep.lockstep import Lockstep
 from .lockstep.turns import Turns
 from .realtime.beat import Beat
 from .realtime.live import Live
+from .realtime.native import Native
 from .realtime.realtime import Realtime
 from .seam.endpoint import Output
 
@@ -46,7 +47,10 @@ class Group:
                 _feed(links)
                 commands = [(k.writer.step, k.item, drives[k.reader]) for k in links if k.reader.is_plant]
                 driven = {d.step: d for d in drives.values()}
-                Beat([driven[step] for step in _ordered(nodes)], commands)
+                ordered = [driven[step] for step in _ordered(nodes)]
+                native = Native(ordered)
+                native.prepare()
+                Beat(ordered, commands, native)
             else:
                 for writer, output, reader, item, pick in links:
                     drives[writer].connect(output, drives[reader], item, pick)

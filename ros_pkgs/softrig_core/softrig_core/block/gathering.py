@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..timebase import SECOND
 from .answer import Messages, ReceivedMessages
@@ -120,6 +121,11 @@ class Gathering(Link):
         self._count = 0
         messages = {stream.name: stream.messages() for stream in self._seen if stream.name in self.step.stamps}
         return self.step.block.at_once(x, self._t, messages)  # type: ignore[attr-defined]
+
+    def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
+        """Pass on ticks of native code, which has processed their messages."""
+        assert self.inner is not None
+        self.inner.send_all(times, numbers, stamps)
 
     def settle(self) -> None:
         """Let the block process all ticks collected so far."""

@@ -6,7 +6,7 @@ It has the inputs of a tick and their ages, calls the block, and publishes only 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from ..errors import RunError, describe
@@ -20,6 +20,7 @@ from .link import Link
 from .loop import answer, move
 from .params import flatten
 from .port import Port, Sample
+from .scene import Marker
 from .schedule import Schedule
 
 
@@ -223,11 +224,25 @@ class Step(RunningBlock):
         """Store when each output has published last; a plain step needs no such list."""
         self.published_at = [s if row is None else t for s, row in zip(self.published_at, rows, strict=True)]
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        """Return the figures of an observer after it has processed all its messages; see `Observer.status`."""
+    def settle(self) -> None:
+        """Bring the state and the newest answer up to date: the link may have put off the processing of ticks."""
         if self.link is not None:
             self.link.settle()
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Return the figures of an observer after it has processed all its messages; see `Observer.status`."""
+        self.settle()
         return super().status()
+
+    def health(self) -> Mapping[str, str]:
+        """Return the entries of /diagnostics after all ticks; see `Block.health`."""
+        self.settle()
+        return super().health()
+
+    def markers(self) -> Sequence[Marker]:
+        """Return markers to display after all ticks; see `Block.markers`."""
+        self.settle()
+        return super().markers()
 
     def age(self, name: str) -> int | None:
         """Answer `Block.age`: from the stamp of an input to the current tick, ns; None before a message."""
@@ -250,6 +265,7 @@ class Step(RunningBlock):
 
     def newest(self, name: str) -> Any:
         """Return the message of an output at the newest tick; None: nothing."""
+        self.settle()
         return next((row for p, row in zip(self.outputs, self.last_answer, strict=False) if p.name == name), None)
 
     def refused(self, t: int) -> Any:

@@ -118,8 +118,7 @@ def text_for(
     """
     if kinds in _refused:
         raise NotNative(_refused[kinds])
-    roots = [s.block for s in core.steps]
-    result = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
+    result = found(kinds, core)
     if result is None and _worth_another(kinds):
         try:
             text = rig_text(core.steps, recorded, typed)
@@ -132,6 +131,12 @@ def text_for(
         _texts.insert(0, result)
         del _texts[KEPT:]
     return result
+
+
+def found(kinds: tuple[Any, ...], core: Core) -> Kept | None:
+    """Return a text that was made for such blocks with such constants; None if there is none."""
+    roots = [s.block for s in core.steps]
+    return next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
 
 
 def refuse(kinds: tuple[Any, ...], reason: str) -> None:
@@ -180,6 +185,8 @@ class Fitted:
         Whether the last call has discarded a tick.
     odd : str
         The TypeError that caused it; empty if a discarded tick had another cause.
+    when, reported : arrays
+        Tables that native code changes: see `WHEN` and `Reports`.
     rows : dict of int to Answers
         Buffers for the answers of each recorded step, by its identity.
 
@@ -199,7 +206,8 @@ class Fitted:
         self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
         self._tables = tables
         for draws in self._sources.values():
-            draws.at_hand = Window(draws, min(MOST, 2 * ((self._plan.ticks or 0) + SIZE)))
+            # Numbers that another text has drawn for the same block serve this one, too.
+            draws.at_hand = draws.at_hand or Window(draws, min(MOST, 2 * ((self._plan.ticks or 0) + SIZE)))
         self._put_draws()
         # These are valid as long as states have these forms; the conversion back is known with the first returned
         # states.
@@ -209,8 +217,8 @@ class Fitted:
         self._keys = [newest.key for newest in self._newest]
         self._written = [(core.steps.index(s), s, len(numbers_of(s)), len(stamps_of(s))) for s in recorded]
         self._n = self._zeros(3, int)  # tick under way, random numbers that are missing, tick with which places begin
-        self._when = self._zeros(1 + len(core.holdings) + len(core.speakers), int)
-        self._reported = self._zeros(program.reports.size if program.reports else 0, float)
+        self.when = self._zeros(1 + len(core.holdings) + len(core.speakers), int)
+        self.reported = self._zeros(program.reports.size if program.reports else 0, float)
         self._arrays: tuple[Any, ...] = ()  # what the function gets after its state, as `RigText.arrays`
         self._begin, self.rows = 0, dict[int, Answers]()
 
@@ -260,7 +268,7 @@ class Fitted:
 
     def _name(self) -> None:
         """Name the arguments of native code in their order."""
-        named = self._tables | {WHEN: self._when, "reports": self._reported}
+        named = self._tables | {WHEN: self.when, "reports": self.reported}
         for k, s, _, _ in self._written:
             named[f"o{k}"], named[f"p{k}"] = self.rows[id(s)]
         self._arrays = tuple(named[name] for name in self.kept.text.arrays)
@@ -273,7 +281,7 @@ class Fitted:
             result[key] = Answers(*(np.asarray(table[:count], kind).reshape(count, n) for table, n, kind in tables))
         return result
 
-    def _handed(self) -> tuple[Any, ...]:
+    def handed(self) -> tuple[Any, ...]:
         """Return the arguments of the function as they are after its ticks."""
         kept = self.kept
         before = (
@@ -284,12 +292,12 @@ class Fitted:
         )
         published = [self._steps[k].published_at[j] for k, j in self._core.speakers]
         self._n[:] = 0, 0, self._begin
-        self._when[:] = [
+        self.when[:] = [
             0,
             *(holding.stamp for holding in self._core.holdings),
             *(NEVER if t is None else t for t in published),
         ]
-        self._reported[:] = [0.0] * len(self._reported)
+        self.reported[:] = [0.0] * len(self.reported)
         return self._n, self._constants, before, *self._arrays
 
     def call(self, first: int, last: int) -> tuple[int, Any]:
@@ -304,7 +312,7 @@ class Fitted:
         kept = self.kept
         self.discarded, self.odd, kept.compiled = False, "", True
         while True:
-            handed = self._handed()
+            handed = self.handed()
             n = self._n
             try:
                 after = kept.function(first, last, *handed)
@@ -319,12 +327,7 @@ class Fitted:
                         del table[count:]
                 # The random numbers that were drawn in advance have run out.
                 # `drawn_` sets n[1], so that this IndexError is not taken for one of the block.
-                if n[1]:
-                    for name, draws in self._sources.items():
-                        if missed := self._tables[name][1]:
-                            draws.at_hand.follow(missed)
-                    self._put_draws()
-                    self._name()
+                if self.follow_draws():
                     continue
                 self.discarded = True
                 if n[0] <= first:
@@ -344,11 +347,22 @@ class Fitted:
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return int(n[0]), after
 
+    def follow_draws(self) -> bool:
+        """Draw further random numbers if the last tick was discarded for lack of them; return whether it was."""
+        if not self._n[1]:
+            return False
+        for name, draws in self._sources.items():
+            if missed := self._tables[name][1]:
+                draws.at_hand.follow(missed)
+        self._put_draws()
+        self._name()
+        return True
+
     def compilation(self, k: int) -> Callable[[], None]:
         """Return a function that compiles the text by a call that answers no tick."""
         self.kept.compiled = True
         self.begin(k, k)
-        arguments = k, k, *self._handed()
+        arguments = k, k, *self.handed()
 
         def compile_() -> None:
             with suppress(Exception):  # an error is reported when the function is called for ticks
@@ -358,12 +372,12 @@ class Fitted:
 
     def apply(self, first: int, last: int, after: Any) -> None:
         """Store the states, answers and reports that native code has computed in the steps."""
-        if (reports := self.kept.text.program.reports) is not None and self._reported[0]:
-            reports.record(self._reported, self._steps)
+        if (reports := self.kept.text.program.reports) is not None and self.reported[0]:
+            reports.record(self.reported, self._steps)
         count = len(self._steps)
         self._unpack = self._unpack or [unpacker(value) for value in after[:count]]
         stamps = dict(zip(self.kept.text.stamped, after[2 * count :], strict=False))
-        published = dict(zip(self._core.speakers, map(int, self._when[1 + len(self._core.holdings) :]), strict=True))
+        published = dict(zip(self._core.speakers, map(int, self.when[1 + len(self._core.holdings) :]), strict=True))
         for k, s in enumerate(self._steps):
             ticks = self._plan.own(s.schedule, first, last)
             if not ticks:

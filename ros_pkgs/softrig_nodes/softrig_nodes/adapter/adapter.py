@@ -60,6 +60,9 @@ class Drive(Protocol):
     def record(self, number: int, data: bytes) -> None:
         """Record a message from outside, with the stamp of the tick that uses it."""
 
+    def settle(self) -> None:
+        """Bring the state of the step up to date; see `Link.settle`."""
+
     def progress(self) -> None:
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
 

@@ -117,6 +117,14 @@ class Outgoing:
             if self._owns_clock:
                 record.sink.add(record.clock, stamp, CLOCK_LAYOUT.encode(stamp, ()))
 
+    def by_memory(self) -> bool:
+        """Return whether native code can publish its answers: only numbers, whose ticks nobody acknowledges."""
+        record = self._node.record
+        plain = self._plain and self.acknowledge is None and self._node.middleware.mute
+        # Without a shard each message would have to be passed to the sink.
+        kept = record.shard is not None or record.sink is None
+        return plain and kept and all(code[-1] == "d" for o in self.outputs if o.readers for _, code in o.layout.slots)
+
     def keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
         """Record many answers that have no subscribers: their ticks, shape (n,), and all their numbers, (n, size)."""
         shard = self._node.record.shard

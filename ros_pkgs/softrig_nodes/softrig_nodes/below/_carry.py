@@ -15,14 +15,14 @@ from numba.extending import intrinsic
 from softrig_core.kit._jit_cache import Cache
 
 
-def _call(typing: Any, function: Any, a: Any, b: Any, c: Any) -> Any:
-    """Call the function of C at an address, with three whole numbers or addresses."""
+def _call(typing: Any, function: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Call the function of C at an address, with four whole numbers or addresses; it may expect fewer."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kind = ir.FunctionType(ir.IntType(32), [ir.IntType(64)] * 3)
+        kind = ir.FunctionType(ir.IntType(32), [ir.IntType(64)] * 4)
         return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
 
-    return types.int32(*[types.int64] * 4), codegen
+    return types.int32(*[types.int64] * 5), codegen
 
 
 call: Any = intrinsic(_call)
@@ -46,15 +46,15 @@ def carry(slots, message, addresses, failed):  # type: ignore[no-untyped-def] # 
     address, full, free, wait, try_to_wait, post, nap, publish, reset, pause, naps = addresses
     k, idle = 0, 0
     while True:
-        if call(try_to_wait, full, 0, 0) != 0:
+        if call(try_to_wait, full, 0, 0, 0) != 0:
             # Waking a thread costs several us. A thread that naps need not be woken, so it waits only when little is
             # published.
             idle += 1
             if idle <= naps:
-                call(nap, pause, 0, 0)
+                call(nap, pause, 0, 0, 0)
                 continue
             # A signal may end the wait early.
-            while call(wait, full, 0, 0) != 0:
+            while call(wait, full, 0, 0, 0) != 0:
                 pass
         idle = 0
         if slots[k, 0] == 0:
@@ -62,11 +62,11 @@ def carry(slots, message, addresses, failed):  # type: ignore[no-untyped-def] # 
         message[0] = slots[k, 1]
         message[1] = slots[k, 2]
         message[2] = slots[k, 2]
-        result = call(publish, slots[k, 0], address, 0)
+        result = call(publish, slots[k, 0], address, 0, 0)
         if result != 0:
             failed[0] = result
-            call(reset, 0, 0, 0)
-        call(post, free, 0, 0)
+            call(reset, 0, 0, 0, 0)
+        call(post, free, 0, 0, 0)
         k = (k + 1) % len(slots)
 
 

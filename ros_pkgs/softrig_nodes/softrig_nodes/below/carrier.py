@@ -19,17 +19,21 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from numpy.typing import NDArray
 from softrig_core.kit.jit import switched_off
 
 from .arrival import SIZE, Bytes
 from .leave import before_leaving
-from .uses import RCLError, works
+from .punctual import PUBLISHING, prefer
+from .uses import RCLError, sending, works
 
-SLOTS = 1024  # messages that may wait; a tick that finds no free slot waits for one
+SLOTS = 4096  # messages that may wait; a tick that finds no free slot waits for one
 TAKEN = 32  # free slots that are counted together
 PAUSE, NAPS = 50, 4  # us, and how many naps of that length the thread takes before it has to be woken
 NICER = 5  # added to the niceness of the thread, so that ticks have priority on a shared processor
 PATIENCE = 10.0  # s: for all messages at the end
+# Functions of C that `_ticking` calls.
+CALLS = ("clock_gettime", "clock_nanosleep", "memcpy", "sem_trywait", "sem_post", "usleep")
 # Distance from the address of a bytes object to its content. The basic size includes the 0 after the content.
 OFFSET = bytes.__basicsize__ - 1
 SEMAPHORE = 8  # words; the C libraries of Linux need four
@@ -45,6 +49,13 @@ class Carrier:
     ----------
     publish : callable of ctypes, optional
         Takes the place of rcl's function.
+
+    Attributes
+    ----------
+    handles : dict of str to int
+        Publishers by the full names of their topics.
+    calls : tuple of int
+        Addresses of `CALLS`.
     """
 
     def __init__(self, publish: Any = None) -> None:
@@ -59,12 +70,18 @@ class Carrier:
         self._named = [getattr(self._c, name) for name in ("sem_wait", "sem_trywait", "sem_post", "usleep")]
         self._named += [publish or rcl.rcl_publish_serialized_message, rcl.rcutils_reset_error]
         data = [array.ctypes.data for array in (self._message, *self._semaphores)]
-        self._places = (*data, *(ctypes.cast(f, ctypes.c_void_p).value for f in self._named), PAUSE, NAPS)
+        self.calls = tuple(_address(getattr(self._c, name)) for name in CALLS)
+        self._places = (*data, *map(_address, self._named), PAUSE, NAPS)
         self._post, self._try_to_wait = quick.sem_post, quick.sem_trywait
         self._ring = memoryview(self._slots).cast("B")
         # The thread reads the bytes inside of these objects, so they must live until their slots are used again.
         self._held = [b""] * SLOTS
         self._next = self._room = 0
+        self._thread = -1  # no thread: it cannot be preferred
+        self.handles: dict[str, int] = {}
+        # Whether native code fills the ring, and whether Python has since that ended.
+        self._lent = self._filled = False
+        self._memory, self._size = np.zeros(0, np.int64), 0  # for messages of native code: all, and bytes of each
 
     def run(self) -> None:
         """Publish the messages of the ring until one for publisher 0."""
@@ -75,8 +92,8 @@ class Carrier:
         """Publish in a thread from now on."""
 
         def work() -> None:
-            number = threading.get_native_id()
-            os.sched_setscheduler(number, os.SCHED_OTHER, os.sched_param(0))
+            self._thread = number = threading.get_native_id()
+            prefer(number, 0)
             os.setpriority(os.PRIO_PROCESS, number, os.getpriority(os.PRIO_PROCESS, 0) + NICER)
             self.run()
 
@@ -84,8 +101,10 @@ class Carrier:
 
     def sender(self, publisher: Any) -> Callable[[bytes], None]:
         """Return a function that puts the bytes of a message into the ring."""
-        handle, put = publisher.handle.pointer, self.put
-        return lambda data: put(handle, data)
+        handle, put, publish = publisher.handle.pointer, self.put, sending(publisher)
+        self.handles[publisher.topic_name] = handle
+        # Native code fills the ring without Python's lock, so that nothing else may do so in the meantime.
+        return lambda data: publish(data) if self._lent else put(handle, data)
 
     def put(self, handle: int, data: bytes) -> None:
         """Put a message into the ring; wait while the ring is full.
@@ -97,19 +116,47 @@ class Carrier:
         """
         if not self._room:
             self._count_room()
-        k = self._next
+        k, self._filled = self._next, True
         self._held[k] = data = bytes(data)
         SLOT.pack_into(self._ring, SLOT.size * k, handle, id(data) + OFFSET, len(data))
         self._next, self._room = (k + 1) % SLOTS, self._room - 1
         self._post(self._full)
 
     def _count_room(self) -> None:
-        self._check()
+        self.check()
         while self._room < TAKEN and not self._try_to_wait(self._free):
             self._room += 1
         while not self._room:
             # A signal may end the wait early.
             self._room = int(not self._c.sem_wait(self._free))
+
+    def lend(self, size: int) -> tuple[NDArray[np.int64], tuple[int, ...], int, int]:
+        """Let native code fill the ring with messages of up to `size` bytes, a multiple of 8, until `take_back`.
+
+        Returns
+        -------
+        slots : array of int64, shape (n, 3)
+        ring : tuple of int
+            Address of memory for a message in each slot, its size, addresses of the semaphores for full and free slots.
+        following, room : int
+            The next slot, and the number of free ones.
+        """
+        # What others publish in the meantime must not overtake what they have put here. Messages of native code, which
+        # are alone here, may wait on, unless their memory is replaced.
+        if self._filled or size > self._size:
+            self.drain()
+        if size > self._size:
+            self._size, self._memory = size, np.zeros(SLOTS * size // 8, np.int64)
+        self._lent, self._filled = True, False
+        # Ticks in Python have no priority, so that the thread has one only now.
+        prefer(self._thread, PUBLISHING)
+        semaphores = (row.ctypes.data for row in self._semaphores)
+        return self._slots, (self._memory.ctypes.data, self._size, *semaphores), self._next, self._room
+
+    def take_back(self, following: int, room: int) -> None:
+        """Fill the ring from Python again, from a slot on; native code has left `room` free ones that it found."""
+        self._next, self._room, self._lent = following, room, False
+        prefer(self._thread, 0)
 
     def drain(self) -> None:
         """Wait, for a bounded time, until all messages in the ring are published.
@@ -126,13 +173,19 @@ class Carrier:
                 self._room += 1
             elif time.time() > limit:  # else a signal has ended the wait
                 raise RCLError(f"{SLOTS - self._room} messages are not published within {PATIENCE:g} s")
-        self._check()
+        self.check()
 
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Raise an RCLError if a message could not be published."""
         # After a signal has shut the context down, nothing can be published, and nothing needs to be.
         if (code := int(self._failed[0])) and rclpy.ok():
             self._failed[0] = 0
             raise RCLError(f"a message cannot be published (rcl reports {code})")
+
+
+def _address(function: Any) -> int:
+    """Return the address of a function of C."""
+    return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
 
 
 def tested() -> bool:

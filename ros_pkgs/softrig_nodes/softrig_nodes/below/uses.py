@@ -76,6 +76,11 @@ USES = {
         "messages of a container in real time are published by calls, up to eight together: 3 to 20 us of a tick each",
         lambda: importlib.import_module(".carrier", __package__).tested(),
     ),
+    "ticking": Use(
+        SEEN,
+        "the ticks of a container in real time are run by Python: 30 to 90 us of each",
+        lambda: importlib.import_module(".punctual", __package__).tested(),
+    ),
     "log": Use(
         SEEN,
         "the logger's methods, which read source files to name the caller: 13 to 30 ms at the first text",

@@ -122,6 +122,7 @@ class Following(Reader):
         step, state = self._adapter.step, self._adapter.state
         if state != "running" or not self._adapter.ticks:
             raise BadGoal("the run has not begun" if state in ("starting", "running") else "the run is over")
+        step.settle()
         return step.t, step.block.update(step.x, step.t)[1][self._port.name]  # type: ignore[attr-defined]
 
     def _motion(self, message: Any) -> tuple[int, Motion]:
@@ -269,7 +270,7 @@ class Following(Reader):
             for o in n.outgoing.outputs
             if (o.topic, o.port.msgtype) == (topic, STATES)
         ]
-        for neighbour, output in beside:
+        for neighbour, output in beside if self._active is not None else ():
             values = dict(zip(output.port.labels, neighbour.step.newest(output.name) or (), strict=False))
             measured = [
                 [values.get(f"{joint}/{field}") for joint in self._joints] for field in ("position", "velocity")

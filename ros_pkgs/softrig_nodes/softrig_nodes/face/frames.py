@@ -45,12 +45,13 @@ class Frames:
 
     def _move(self) -> None:
         adapter, scene = self._adapter, self._scene
-        stamp = adapter.epoch + adapter.step.t
-        if adapter.state != "running" or scene is None or stamp == self._stamp or not self._tf.get_subscription_count():
-            # Without subscribers the work is saved, and tf2 warns about a transform that is published twice.
+        # Without subscribers the work is saved.
+        if adapter.state != "running" or scene is None or not self._tf.get_subscription_count():
             return
         newest = adapter.step.newest(scene.port)
-        if newest:
+        stamp = adapter.epoch + adapter.step.t
+        # tf2 warns about a transform that is published twice.
+        if newest and stamp != self._stamp:
             self._stamp = stamp
             sending(self._tf)(encode(stamp, scene.moving([newest[k] for k in self._positions])))
 

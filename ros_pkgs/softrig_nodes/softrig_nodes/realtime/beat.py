@@ -13,6 +13,7 @@ from softrig_core.block.step import Step
 from softrig_core.timebase import SECOND
 
 from .live import Live
+from .native import EVERY, Native
 from .realtime import SOON, Realtime, newest
 
 BEHIND = SECOND // 20  # ns; a beat that is further behind skips ticks
@@ -27,9 +28,16 @@ class Beat:
         Plants first, then each after those that it reads, which are all among them.
     commands : sequence of (step, Live, plant)
         Commands of the plants: the step that publishes each, its row and the plant that reads it.
+    native : Native, optional
+        Runs ticks of these drives while nothing needs Python.
     """
 
-    def __init__(self, drives: Sequence[Realtime], commands: Sequence[tuple[Step, Live, Realtime]]) -> None:
+    def __init__(
+        self,
+        drives: Sequence[Realtime],
+        commands: Sequence[tuple[Step, Live, Realtime]],
+        native: Native | None = None,
+    ) -> None:
         self._drives, self._commands = drives, commands
         plan = Plan(d.node.schedule for d in drives)
         self._grid = plan.clock
@@ -37,8 +45,11 @@ class Beat:
         self._number = -1
         self._timer = drives[0].node.middleware.timer(SOON, self._tick)
         self._timer.cancel()
+        self._native = native
         for drive in drives:
             drive.follow(self._begin, self._tick)
+            if native is not None:
+                drive.before_reading = self._settle
 
     def _begin(self) -> None:
         """Start the timer when all nodes run."""
@@ -47,7 +58,13 @@ class Beat:
 
     def _tick(self) -> None:
         """Answer with the nodes that are due; late ones answer first, with the values up to their tick."""
-        first, grid = self._drives[0], self._grid
+        first, grid, native = self._drives[0], self._grid, self._native
+        if native is not None and native.active:
+            if native.look():
+                return
+            self._follow_native()
+            if self._goes_native():
+                return
         if first.node.state != "running" and not any(d.node.state == "running" for d in self._drives):
             self._timer.cancel()
             return
@@ -61,6 +78,8 @@ class Beat:
         if t - grid.time(self._number + 1) <= BEHIND:
             for k in range(self._number + 1, number):
                 self._answer(k, grid.time(k), first.clock())
+                if self._goes_native():
+                    return
         else:
             for drive in self._drives:
                 schedule = drive.node.schedule
@@ -69,6 +88,28 @@ class Beat:
                 if (due := schedule.held(t)) < t:
                     drive.tick(schedule.tick(due), due, now)
         self._answer(number, t, first.clock())
+        self._goes_native()
+
+    def _goes_native(self) -> bool:
+        """Leave the next ticks to native code, if nothing is in the way."""
+        if self._native is None or not self._native.begins(self._number + 1):
+            return False
+        self._timer.again(EVERY, EVERY)
+        return True
+
+    def _settle(self) -> None:
+        """End native ticks, so that the steps have their newest state."""
+        if self._native is not None and self._native.active:
+            self._native.end()
+            self._follow_native()
+            self._timer.again(SOON)
+
+    def _follow_native(self) -> None:
+        """Continue after native ticks."""
+        assert self._native is not None
+        self._number, now = self._native.reached - 1, self._drives[0].clock()
+        for _, command, _ in self._commands:
+            command.fed(now)
 
     def _answer(self, number: int, t: int, now: int) -> None:
         """Answer with the nodes that are due at a tick."""

@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
 from softrig_core.block.answer import Row, Rows
 from softrig_core.block.block import Level, Plant
 from softrig_core.block.fill import Pick
@@ -93,6 +95,8 @@ class Realtime(Link):
         self._newest: Callable[[], object] | None = None  # runs its newest tick, unless messages make it answer
         self.departure: Departure | None = None
         self._over = False  # the last tick is answered
+        self._moved = 0  # a plant's state is that of this tick if native code has moved it on already
+        self.before_reading: Callable[[], object] = lambda: None  # brings the state of the step up to date
 
     def connect(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
         """Pass the messages of an output to a node of this process, too."""
@@ -336,18 +340,77 @@ class Realtime(Link):
             return
         try:
             # A late plant makes up for each missed period, so its state is at the time that it publishes.
-            for k in range(number - behind, number):
-                t = node.schedule.time(k)
-                self._use(t)
-                # Staleness is judged at the time of the tick: a plant that is late itself must not declare its
-                # controllers silent.
-                node.step.advance(t, self._fresh_inputs(node.epoch + node.schedule.time(k + 1)))
+            for k in range(max(number - behind, self._moved), number):
+                self._move(k)
             node.step.answer(due)
         except RunError as error:
             node.broke(error)
             return
         self._sent.append((node.epoch + due, self.clock()))
         self._ticked(due)
+
+    def _move(self, k: int) -> None:
+        """Advance a plant from tick k to the next one."""
+        node, schedule = self.node, self.node.schedule
+        t = schedule.time(k)
+        self._use(t)
+        # Staleness is judged at the time of the tick: a plant that is late itself must not declare its controllers
+        # silent.
+        node.step.advance(t, self._fresh_inputs(node.epoch + schedule.time(k + 1)))
+
+    # native ticks ----------------------------------------------------------------------------------------------
+
+    def disturbed(self) -> bool:
+        """Return whether something from outside takes part in its ticks: messages, or a person who stops the clock."""
+        return bool(
+            self.senders.unrecorded
+            or self._rivals
+            or self._stand.stopping
+            or any(row.outside or row.stamp is not None for row in self.senders.rows if not row.local)
+        )
+
+    def move_on(self) -> None:
+        """Advance a plant to its next tick, which native code will answer."""
+        if self.node.is_plant and self._moved <= self.tick_number:
+            try:
+                self._move(self.tick_number)
+            except RunError as error:
+                self.node.broke(error)
+            self._moved = self.tick_number + 1
+
+    def count_native(self, own: range, spans: NDArray[np.int64]) -> None:
+        """Count native ticks.
+
+        Parameters
+        ----------
+        own : range
+            By their numbers.
+        spans : array of int64, shape (n, 2)
+            How late each began, and how long it took, ns.
+        """
+        node = self.node
+        if not own:
+            return
+        node.ticks += len(own)
+        self.tick_number, self._moved = own[-1], own.stop
+        node.step.t = node.schedule.time(own[-1])
+        late, durations = spans.T
+        self._lateness.extend(late.tolist())
+        self._latest = max(self._latest, int(late.max()))
+        self._late += int((late >= self._period).sum())
+        if self._commands:
+            self._round_trip.extend(durations.tolist())
+            self._longest = max(self._longest, int(durations.max()))
+
+    def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
+        """Record answers of native code, which has published them."""
+        self.node.outgoing.keep(times, numbers)
+
+    def settle(self) -> None:
+        """Bring the state of the step up to date with its native ticks."""
+        self.before_reading()
+
+    # ticks by the clock or by messages -------------------------------------------------------------------------
 
     def _use(self, t: int) -> None:
         """Hold the values of tick `t`, and record those from outside."""
@@ -436,6 +499,8 @@ class Realtime(Link):
         figures: dict[str, Any] = {**self.counts()} | ({"late_ticks": self._late} if self._late else {})
         figures |= percentiles("lateness", self._lateness, self._latest)
         figures |= percentiles("round_trip", self._round_trip, self._longest)
+        if self.node.step.native != (0, ""):
+            figures["native"] = self.node.step.native
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
         return figures

@@ -35,6 +35,11 @@ class Stand:
         self._ahead, self._until = 0, NEVER
         self._publish: Callable[[Sequence[str]], object]
 
+    @property
+    def stopping(self) -> bool:
+        """Return whether the clock stands, or will at a known time."""
+        return self._until != NEVER
+
     def follow(self, ns: int) -> None:
         """Follow the clock of the rig, which is ahead of this host's by `ns`."""
         host = self._own

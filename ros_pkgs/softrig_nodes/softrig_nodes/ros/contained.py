@@ -26,7 +26,7 @@ class ContainedMiddleware(RosMiddleware):
     """
 
     def __init__(self, node: ServingNode, exchange: Exchange, carrier: Carrier | None = None) -> None:
-        self._exchange, self._carrier = exchange, carrier
+        self._exchange, self.carrier = exchange, carrier
         super().__init__(node)
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Receive:
@@ -41,14 +41,14 @@ class ContainedMiddleware(RosMiddleware):
         return publish
 
     def _sending(self, publisher: Any) -> Callable[[bytes], None]:
-        if self._carrier is not None:
-            return self._carrier.sender(publisher)
+        if self.carrier is not None:
+            return self.carrier.sender(publisher)  # type: ignore[no-any-return]
         return partial(self._exchange.carry, super()._sending(publisher))
 
     def drain(self) -> None:
         """Wait, for a bounded time, until all subscribers have the published messages."""
-        if self._carrier is not None:
-            self._carrier.drain()
+        if self.carrier is not None:
+            self.carrier.drain()
         super().drain()
 
     def subscribe(self, topic: str, msgtype: str, reader: Reader) -> None:

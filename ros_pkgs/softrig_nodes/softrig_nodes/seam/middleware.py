@@ -7,7 +7,7 @@ implements it with ROS; a test, a simulation or a container supplies its own imp
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from softrig_core.block.block import Level
 from softrig_core.block.port import Port
@@ -76,6 +76,8 @@ class Middleware(Protocol):
         Whether messages are taken in the thread that receives them (see `be_prompt`).
     processor : int or None
         The processor on which the node works; None: any with free capacity.
+    carrier : Carrier or None
+        Publishes for other processes from memory, if that is possible (`softrig_nodes.below.carrier`).
     """
 
     name: str
@@ -83,6 +85,7 @@ class Middleware(Protocol):
     mute: bool = False
     prompt: bool = False
     processor: int | None = None
+    carrier: Any = None
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic, remapping applied."""
