@@ -95,14 +95,16 @@ def about(part: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the named parts, all when none is named."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["against"]:
-        return guarded(lambda: against.main(words[1:]))
+    for name, part_main in (("against", against.main), ("realtime", realtime.main)):
+        if words[:1] == [name]:
+            return guarded(lambda part_main=part_main: part_main(words[1:]))
     about_against = "this checkout and another commit, in turn"
+    own = "bench against --help, bench realtime --help: options of these two"
     lines = "\n".join(f"  {part:17}{about(part)}" for part in PARTS)
     parser = argparse.ArgumentParser(
         prog="scripts/softrig bench",
         description=(__doc__ or "").splitlines()[0],
-        epilog=f"parts:\n{lines}\n\nagainst COMMIT: {about_against}; `bench against --help`",
+        epilog=f"parts:\n{lines}\n\nagainst COMMIT: {about_against}\n{own}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help="which of those below; exported: each exported_...")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 from unittest.mock import patch
 
 from rich.live import Live
@@ -22,12 +24,17 @@ from softrig_nodes.processes.placement import Placement
 from softrig_nodes.processes.processes import Outcome
 
 from .console import console
+from .page import ROOT, Begin, page, write as write_tables
 
 RATES = (2_000, 5_000, 10_000, 20_000)  # Hz, of plant, law and monitor
-WAYS = {"thread": "", "bursts": "carrier"}  # how messages leave a tick, and the value of VARIABLE
+# How ticks run and publish, and the value of VARIABLE: natively; in Python, while a native thread publishes; in Python,
+# in bursts.
+WAYS = {"native": "", "thread": "ticking", "bursts": "carrier"}
 READERS = ("", "torque_ref", "joint_states")  # topics read by another process; the last one at the rate of the plant
 DURATION = 10.0  # s
 LONG = 60.0  # s, at the highest rate with each reader
+PAGE = page("nodes", "placements_measured", "Wall clock; recorded. The load is also that of the bench itself.")
+FLOOR = Path(__file__).with_name("floor.c")
 TIMES = {
     "lateness us p50": "lateness_p50_ms",
     "lateness p99": "lateness_p99_ms",
@@ -45,24 +52,83 @@ rclpy.spin(node)
 """
 
 
-def realtime() -> None:
+class Row(NamedTuple):
+    """A run: rate (Hz), topic that another process reads, duration (s), and one of `WAYS`."""
+
+    rate: int
+    topic: str
+    duration: float = DURATION
+    way: str = "native"
+
+
+SHORT = (
+    Row(5_000, ""),
+    Row(5_000, "joint_states"),
+    Row(20_000, ""),
+    Row(20_000, "torque_ref"),
+    Row(20_000, "joint_states", 30.0),
+    Row(20_000, "joint_states", way="thread"),
+    Row(20_000, "joint_states", way="bursts"),
+)
+# At the highest rate the ways take turns.
+ALL = tuple(
+    Row(rate, topic, duration, way)
+    for rate, duration in [*((rate, DURATION) for rate in RATES), (RATES[-1], LONG)]
+    for topic in READERS
+    for way in (WAYS if rate == RATES[-1] else ["native"])
+)
+
+
+def realtime(rows: Sequence[Row] = SHORT, write: bool = False) -> None:
     """Deadlines missed by the induction motor's drive in one container, with a reader of a topic in another process."""
-    columns = ("Hz", "s", "read outside", "by", "missed", "late", *TIMES, "recorded")
-    table = Table(*columns, box=None, pad_edge=False)
-    broke = []
+    begun, columns = Begin.now(), ("Hz", "s", "read outside", "ticks", "missed", "late", *TIMES, "recorded")
+    table, broke = Table(*columns, box=None, pad_edge=False), []
+    lines: list[tuple[str, ...]] = [columns]
+
+    def add(*cells: str) -> None:
+        table.add_row(*cells)
+        lines.append((*cells, *[""] * (len(columns) - len(cells))))
+
     with Live(table, console=console):  # shows what is done, whatever becomes of the rest
-        for rate, duration in [*((rate, DURATION) for rate in RATES), (RATES[-1], LONG)]:
-            # At the highest rate both ways take turns.
-            both = [(topic, way) for topic in READERS for way in (WAYS if topic and rate == RATES[-1] else ["thread"])]
-            for topic, way in both:
-                try:
-                    results = _figures(drive(rate, topic, duration, way))
-                except (RunError, ScenarioError) as error:
-                    results = ["broke"]
-                    broke.append(f"{rate:,} Hz, {duration:.0f} s, {topic or 'nothing'} read: {error}")
-                table.add_row(f"{rate:,}", f"{duration:.0f}", topic or "nothing", way if topic else "", *results)
+        for row in rows:
+            try:
+                results = _figures(drive(*row))
+            except (RunError, ScenarioError) as error:
+                results = ["broke"]
+                broke.append(f"{row.rate:,} Hz, {row.duration:.0f} s, {row.topic or 'nothing'} read: {error}")
+            add(f"{row.rate:,}", f"{row.duration:.0f}", row.topic or "nothing", row.way, *results)
+        add(f"{RATES[-1]:,}", f"{DURATION:.0f}", "nothing", "none, in C", "", *_floor(RATES[-1], DURATION))
+    if write:
+        write_tables(PAGE, {"realtime": lines}, "scripts/softrig bench realtime --write", begun)
     if broke:
         raise SystemExit("\n".join(broke))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure how punctual the induction motor's drive is in real time, all its nodes in one container."""
+    parser = argparse.ArgumentParser(prog="scripts/softrig bench realtime", description=main.__doc__)
+    parser.add_argument("--all", action="store_true", help="each rate and reader, also for a minute (12 min, not 2.5)")
+    parser.add_argument("--rate", type=int, choices=RATES, help="only the rows of this rate, Hz")
+    parser.add_argument("--write", action="store_true", help=f"write the table to {PAGE.path.relative_to(ROOT)}")
+    options = parser.parse_args(arguments)
+    rows = [row for row in (ALL if options.all else SHORT) if options.rate in (None, row.rate)]
+    if not rows:
+        parser.error(f"no row of {options.rate} Hz without --all")
+    realtime(rows, options.write)
+    return 0
+
+
+def _floor(rate: int, duration: float) -> list[str]:
+    """Return late ticks and lateness of an empty loop in C."""
+    with tempfile.TemporaryDirectory() as folder:
+        program = Path(folder, "floor")
+        try:
+            subprocess.run(["cc", "-O2", "-o", program, FLOOR], check=True, capture_output=True)
+        except (OSError, subprocess.CalledProcessError):
+            return ["no C compiler"]
+        words = [program, str(10**9 // rate), str(round(rate * duration))]
+        late, *times = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
+    return [f"{float(late):.2%}", *(f"{float(time):.0f}" for time in times)]
 
 
 def _figures(outcome: Outcome) -> list[str]:
@@ -75,7 +141,7 @@ def _figures(outcome: Outcome) -> list[str]:
     return [*(f"{share:.2%}" for share in shares), *times, f"{recorded / plant['ticks']:.2%}"]
 
 
-def drive(rate: int, topic: str, duration: float, way: str = "thread") -> Outcome:
+def drive(rate: int, topic: str, duration: float, way: str = "native") -> Outcome:
     """Run the drive at a rate (Hz) for a time (s), with a reader of a topic if one is named, by one of `WAYS`."""
     periods = {f"{node}.period": 1.0 / rate for node in ("im_plant", "dtc_controller", "flux_monitor")}
     rig = rig_of("induction_dtc", duration=duration, overrides=periods)

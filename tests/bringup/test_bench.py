@@ -65,13 +65,25 @@ def test_a_broken_run_in_real_time_does_not_affect_other_rows(capsys, monkeypatc
         return SimpleNamespace(status={"im_plant": figures}, recording=recording)
 
     monkeypatch.setattr(realtime, "drive", drive)
+    monkeypatch.setattr(realtime, "_floor", lambda rate, duration: ["1.00%", "17", "60"])
+    written = []
+    monkeypatch.setattr(realtime, "write_tables", lambda page, tables, *about: written.append(tables))
     with pytest.raises(SystemExit, match="10,000 Hz, 10 s, torque_ref read: it did not reach the end"):
-        main(["realtime"])
+        main(["realtime", "--all", "--write"])
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if ",000" in line]
-    assert len(rows) == 19
-    assert rows[0] == ["2,000", "10", "nothing", "2.00%", "3.00%", "10", "10", "10", "10", "100.00%"]
-    assert rows[7] == ["10,000", "10", "torque_ref", "thread", "broke"]
-    assert [row[3] for row in rows[10:14]] == ["thread", "bursts", "thread", "bursts"]
+    assert len(rows) == 28
+    assert rows[0] == ["2,000", "10", "nothing", "native", "2.00%", "3.00%", "10", "10", "10", "10", "100.00%"]
+    assert rows[7] == ["10,000", "10", "torque_ref", "native", "broke"]
+    assert [row[3] for row in rows[12:18]] == ["native", "thread", "bursts"] * 2
+    assert rows[-1] == ["20,000", "10", "nothing", "none,", "in", "C", "1.00%", "17", "60"]
+    ((mark, lines),) = written[0].items()
+    assert (mark, len(lines), len(written)) == ("realtime", 29, 1)
+    assert lines[1][:6] == ("2,000", "10", "nothing", "native", "2.00%", "3.00%")
+    assert {len(line) for line in lines} == {11}
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        main(["realtime", "--rate", "2000"])
+    assert "no row of 2000 Hz without --all" in capsys.readouterr().err
 
 
 def test_tables_of_the_rectifier(capsys):
@@ -156,7 +168,8 @@ def test_a_table_is_written_between_its_marks_with_its_conditions(monkeypatch, t
     """Marks, line and table replace what was there; a part without a page, and a page without the mark, are refused."""
     lab = tmp_path / "lab.md"
     lab.write_text("# Lab\n<!-- bench: peers -->\nold\n<!-- end -->\nkept\n<!-- bench: other -->\n<!-- end -->\n")
-    monkeypatch.setattr(page, "ROOT", tmp_path)
+    for module in (page, realtime):
+        monkeypatch.setattr(module, "ROOT", tmp_path)
     monkeypatch.setattr(page, "_commit", lambda: "c0ffee12")
     monkeypatch.setitem(sys.modules["bench.__main__"].PAGES, "peers", page.Page(lab, "CPU time, warm."))
     part = Mock(return_value={"peers": [("a", "b"), ("1", "2")]}, __doc__="About.")
@@ -238,7 +251,8 @@ def test_rows_are_chosen_by_name_slow_ones_only_so_and_written(capsys, monkeypat
     lab = tmp_path / "lab.md"
     marks = "".join(f"<!-- bench: {mark} -->\n<!-- end -->\n" for mark in ("rows", "slow", "default"))
     lab.write_text(marks)
-    monkeypatch.setattr(page, "ROOT", tmp_path)
+    for module in (page, realtime):
+        monkeypatch.setattr(module, "ROOT", tmp_path)
     monkeypatch.setattr(page, "_commit", lambda: "c0ffee12")
     monkeypatch.setattr(against, "PAGE", page.Page(lab, "CPU."))
     monkeypatch.setattr(against, "built", lambda commit: tmp_path)

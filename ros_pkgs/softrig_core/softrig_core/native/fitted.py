@@ -133,7 +133,7 @@ def text_for(
     return result
 
 
-def found(kinds: tuple[Any, ...], core: Core) -> Kept | None:
+def found(kinds: tuple[Any, ...], core: Core) -> CachedText | None:
     """Return a text that was made for such blocks with such constants; None if there is none."""
     roots = [s.block for s in core.steps]
     return next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.block.answer import places
+from softrig_core.block.answer import slots_of
 from softrig_core.block.loop import Loop
 from softrig_core.block.schedule import Plan
 from softrig_core.block.step import Step
 from softrig_core.errors import FAILURES, RunError
 from softrig_core.native.audience import Answers, Audience
 from softrig_core.native.compile import compiled
-from softrig_core.native.fitted import Core, Fitted, Kept, found, kinds_of, text_for
+from softrig_core.native.fitted import CachedText, Core, Fitted, found, kinds_of, text_for
 from softrig_core.native.value import NotNative
 from softrig_core.solver.solver import Solver
 from softrig_core.timebase import SECOND
@@ -68,7 +68,7 @@ class Native:
         # A plant moves at its next tick, which must not be a later one than that of native code.
         self._moving = math.lcm(*(plan.every(s.schedule) for s in self._steps if s.plant))
         self._again = math.lcm(*(plan.every(s.schedule) for s in self._steps))
-        self._kept: Kept | None = None
+        self._kept: CachedText | None = None
         self._function: Callable[..., Any] | None = None
         self.active, self.reached = False, 0
         self._rests = 0  # ns, monotonic: until then Python runs the ticks
@@ -144,7 +144,7 @@ class Native:
             raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
         finally:
             fit.drop()
-        kept.made, self._kept, self._function = True, kept, function
+        kept.compiled, self._kept, self._function = True, kept, function
         self._core, self._recorded = _core(self._steps, self._plan)
         # Drawing random numbers in advance takes longer than many ticks. The width of an answer is known from the copy.
         for step, copy in zip(self._steps, steps, strict=True):
@@ -155,7 +155,7 @@ class Native:
 
     # native ticks -------------------------------------------------------------------------------------------------
 
-    def _fitted(self, kept: Kept) -> Fitted:
+    def _fitted(self, kept: CachedText) -> Fitted:
         """Return the arguments of the text for the nodes as they are now."""
         blocks = [s.block for s in self._core.steps]
         key = [self._core.forms(), [b.p for b in blocks]]
@@ -251,7 +251,7 @@ class Native:
         self._templates: list[Any] = []  # native code has their addresses
         for drive in self._drives:
             node = drive.node
-            where = places(node.step.outputs)
+            where = slots_of(node.step.outputs)
             for output in node.outgoing.outputs:
                 if output not in outputs:
                     continue
