@@ -669,6 +669,10 @@ def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():
     (low,) = [r for r in run.results if r.name == "low"]
     assert (mark.axis, mark.start, mark.end) == ("violated", *low.violated_s[0])
     assert low.violated_s[0][0] <= low.at_s <= low.violated_s[0][1]
+    # Known results are not judged again.
+    known = low.model_copy(update={"violated_s": ((0.25, 0.5),)})
+    (mark,) = marks_of(rig, run.signals, [known])["lag/state/x/position"]
+    assert (mark.start, mark.end) == (0.25, 0.5)
 
 
 def test_the_lower_of_two_wires_of_a_node_turns_first():

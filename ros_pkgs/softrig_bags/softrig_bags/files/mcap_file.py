@@ -156,22 +156,24 @@ class McapFile:
             return
         content = b"".join(self._parts)
         compressed = self._compress(content)
-        times: list[NDArray[np.uint64]] = [np.frombuffer(index, np.uint64)[::2] for index in self._index.values()]
-        first, last = int(min(map(np.min, times))), int(max(map(np.max, times)))
+        times = np.frombuffer(b"".join(self._index.values()), np.uint64)[::2]
+        first, last = int(np.min(times)), int(np.max(times))
         head = pack("<QQQI", first, last, len(content), zlib.crc32(content)) + _text(self.compression)
         head += pack("<Q", len(compressed))
         head = pack("<BQ", CHUNK, len(head) + len(compressed)) + head
         length = len(head) + len(compressed)
-        index, offsets = b"", {}
+        records, offsets, start = list[bytes](), {}, self._end
+        end = start + length
         for number, entries in self._index.items():
-            offsets[number] = self._end + length + len(index)
-            record = pack("<HI", number, 8 * len(entries)) + _little(entries)
-            index += _record(MESSAGE_INDEX, record)
-        start = self._end
-        self._write(head, compressed, index)
+            offsets[number] = end
+            records.append(_record(MESSAGE_INDEX, pack("<HI", number, 8 * len(entries)) + _little(entries)))
+            end += len(records[-1])
+        self._write(head, compressed, *records)
         record = pack("<QQQQI", first, last, start, length, 10 * len(offsets))
         record += b"".join(pack("<HQ", *o) for o in offsets.items())
-        record += pack("<Q", len(index)) + _text(self.compression) + pack("<QQ", len(compressed), len(content))
+        record += (
+            pack("<Q", end - start - length) + _text(self.compression) + pack("<QQ", len(compressed), len(content))
+        )
         self._chunk_index.append(_record(CHUNK_INDEX, record))
         written = sum(self.counts.values())
         # The zero of an empty file is no time of a message.

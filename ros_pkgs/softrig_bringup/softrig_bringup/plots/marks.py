@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -14,6 +14,9 @@ from softrig_core.judge import measures
 from softrig_core.judge.expectation import Expectation
 from softrig_core.verdict.figures import Figure
 from softrig_core.verdict.requirements import Judge
+from softrig_core.verdict.result import Result
+
+Spans = tuple[tuple[float, float], ...]
 
 BESIDE = 0.06  # of the window: how far the mark of an extreme reaches to either side
 TOGETHER = 0.01  # of all that is violated: intervals as near as this are drawn as one
@@ -57,7 +60,7 @@ class Mark:
         return replace(self, axis=axis, low=low, high=high, published=convert(self.published))
 
 
-def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
+def marks_of(rig: Rig, signals: SignalMap, results: Iterable[Result] = ()) -> dict[str, list[Mark]]:
     """Return the marks of each signal that a figure of the scenario measures.
 
     Only figures of `softrig_core.judge.measures` that have a place in a picture over time: levels (final value, mean,
@@ -67,13 +70,17 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
     ----------
     signals : Signals
         Of the run: a rise is counted from where it began.
+    results : iterable of Result
+        Results of the run, as far as they are known; requirements that are not among them are judged again.
     """
+    judged = {result.name: result.violated_s for result in results}
     scenario = rig.scenario
     published = {c.figure or k: c.published for k, c in scenario.claims.items() if c.published is not None}
     result: dict[str, list[Mark]] = {}
     for figure in figures_of(rig):
         if isinstance(figure.function, Judge):
-            for mark in _violated(figure.name, figure.function, signals):
+            spans = judged[figure.name] if figure.name in judged else _spans(figure.function, signals)
+            for mark in _violated(figure.name, spans):
                 for name in figure.function.signals.values():
                     result.setdefault(name, []).append(mark)
             continue
@@ -90,12 +97,16 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
     return result
 
 
-def _violated(name: str, judge: Judge, signals: SignalMap) -> Iterator[Mark]:
-    """Yield the intervals in which a requirement does not hold, those next to each other as one."""
+def _spans(judge: Judge, signals: SignalMap) -> Spans:
+    """Return the intervals in which a requirement does not hold."""
     try:
-        spans = judge.margin(signals).violated
+        return judge.margin(signals).violated
     except (KeyError, ValueError):  # not judged: its line in the table says so
-        return
+        return ()
+
+
+def _violated(name: str, spans: Spans) -> Iterator[Mark]:
+    """Yield the intervals in which a requirement does not hold, those next to each other as one."""
     near = TOGETHER * (spans[-1][1] - spans[0][0]) if spans else 0.0
     merged: list[tuple[float, float]] = []
     for start, end in spans:

@@ -12,6 +12,7 @@ from softrig_core import Rig, Signals
 from softrig_core.guard import replace
 from softrig_core.judge.units import pretty_unit
 from softrig_core.scenario.plot_entry import PlotEntry
+from softrig_core.verdict.result import Result
 
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
@@ -90,7 +91,14 @@ def write_figure(figure: Printed, path: Path, **how: Any) -> None:
     replace(path, content.getvalue())
 
 
-def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: int | None = None) -> list[Path]:
+def plot_run(
+    signals: Signals,
+    rig: Rig,
+    directory: Path,
+    also: str = "",
+    most: int | None = None,
+    results: Iterable[Result] = (),
+) -> list[Path]:
     """Draw the plots of the rig's scenario and the overview.
 
     Parameters
@@ -105,6 +113,8 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
         ``pdf`` or ``png``: matplotlib also writes a file of this kind beside each SVG; empty: none.
     most : int, optional
         Only the first plots, and the overview if there are fewer.
+    results : iterable of Result
+        See `marks_of`.
 
     Returns
     -------
@@ -119,7 +129,7 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
     """
     check_plots(rig)
     source = Source(signals, rig)
-    marks = marks_of(rig, signals)
+    marks = marks_of(rig, signals, results)
     paths = []
     outside = {p.topic for m in rig.members if m.external for p in m.outputs} & set(source.silent)
     for number, entry in enumerate(rig.scenario.plots[:most], 1):

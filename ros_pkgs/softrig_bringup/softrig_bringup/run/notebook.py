@@ -29,7 +29,7 @@ def html(run: Run) -> str:
     """Return the title, the table of figures and the first pictures of a run, which need no style sheet."""
     record = RunRecord.model_validate(summary(run, run.results, ""))
     with TemporaryDirectory() as folder:
-        result = plot_run(run.signals, run.rig, Path(folder), most=MOST)
+        result = plot_run(run.signals, run.rig, Path(folder), most=MOST, results=run.results)
         pictures = [picture(path.read_bytes(), path.stem) for path in result[:MOST]]
     about = e("p", e("b", record.title), f" · {run!r}".replace("<", "").replace(">", ""))
     return tostring(e("div", about, metrics(record), *pictures), "unicode", "html")

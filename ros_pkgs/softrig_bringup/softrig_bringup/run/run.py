@@ -352,7 +352,7 @@ def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
     """
     with _writing(folder) as directory:
         if any(topic.number for topic in run.recording.topics.values()):
-            plot_run(run.signals, run.rig, directory, also)
+            plot_run(run.signals, run.rig, directory, also, results=run.results)
         write_report([directory], directory / "report.html")
 
 

@@ -195,9 +195,8 @@ class Layout:
             rows = np.empty((len(stamps), self.length), np.uint8)
         rows[:] = np.frombuffer(self.encode(0, (0.0,) * self.size), dtype=np.uint8)
         if self.stamp_offset is not None:
-            start, parts = self.stamp_offset, np.empty((len(stamps), 2), "<u4")
+            parts = rows[:, self.stamp_offset : self.stamp_offset + 8].view("<u4")
             parts[:, 0], parts[:, 1] = np.divmod(stamps, SECOND)
-            rows[:, start : start + 8] = parts.view(np.uint8)
         if self.numbered:
             start = self._number_offset
             text = b"".join(map(_digits, stamps.tolist()))

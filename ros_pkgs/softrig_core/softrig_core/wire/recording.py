@@ -24,8 +24,9 @@ _ROW = 0xFFFF
 _MAGIC = b"softrig shard 2\n"
 _HEAD = 1 << 20  # bytes in which the head of a shard ends
 _LOOK = 1 << 22  # bytes of a shard that are read at a time
-# A shard with more bytes stays on the disk, and its messages are read when somebody asks for them.
-HELD = 1 << 23
+# A shard with more bytes stays on the disk, and its messages are read when somebody asks for them. With a larger bound
+# the slow topics of a run of minutes would let its memory grow.
+HELD = 1 << 21
 ORDERED = 1 << 16  # times of a topic that are ordered at a time
 # So many messages are turned into bytes at a time: they take ten times the memory of their numbers.
 CHUNK = 4096
