@@ -495,7 +495,7 @@ def test_each_plot_of_a_run_is_drawn_except_signals_that_never_arrived(monkeypat
     source = SimpleNamespace(silent=silent, topic=lambda name: name[0])
     saved = []
     for name, what in {
-        "check_plots": lambda rig: None, "marks_of": lambda rig, signals, results: {}, "Source": lambda signals, rig: source,
+        "check_plots": lambda rig: None, "marks_of": lambda *_: {}, "Source": lambda signals, rig: source,
         "_time_figure": lambda source, entry, marks: entry.title, "_overview": lambda source: "overview",
         "save_figure": lambda figure, path, title, run, also: saved.append((figure, path.name, title, run, also)),
     }.items():  # fmt: skip
