@@ -582,7 +582,7 @@ def test_only_sources_of_a_package_are_packed(tmp_path):
         (0, False, {"error": "x"}, "it ended early"),
     ],
 )
-def test_a_bag_is_left_out_if_its_scenario_makes_it_again(run, monkeypatch, epoch, outside, content, why):
+def test_a_bag_is_left_out_if_the_scenario_reproduces_it(run, monkeypatch, epoch, outside, content, why):
     monkeypatch.setattr(pack, "from_outside", lambda rig, recording: ["x"] * outside)
     before = recalled(run, epoch=epoch)
     if why:

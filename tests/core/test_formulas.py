@@ -395,7 +395,7 @@ def test_one_pass_natively_is_the_reference(formula, monkeypatch):
         assert one == other
 
 
-def test_one_pass_decides_and_does_not_leave_all_to_the_reference(interpreted):
+def test_one_pass_returns_the_margin_without_the_reference_method(interpreted):
     x = np.array([3.0, -1.0, -2.0, 4.0, -5.0])
     least = one_pass.OnePass(outline("always x >= 0", KNOWN).tree)
     assert least({"x": x}, least.constants({}), 0, 4) == (-5.0, 4, [(1, 2), (4, 4)])

@@ -1199,7 +1199,7 @@ def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, ph
 
 
 def test_phases_close_and_open_at_the_expected_steps(monkeypatch):
-    """All close together; each opens with the first current after the end that has changed its sign."""
+    """All phases close together; after the end each one opens when its current first changes sign."""
     p = build(RigParams, {"fault.type": "ABG", "fault.rf_ohm": 2.0, "fault.x_km": 30.0})
     line = FaultedLine(p)
     net = line.net._replace(on=100, off=200)
@@ -1336,7 +1336,7 @@ def test_the_chain_of_each_profile(profile):
     result = measurement.chain(p)
     assert result.sos.shape == ((2, 5) if profile.startswith("m") else (0, 5))
     if profile.startswith("m"):
-        rows = butter(4, RATES[profile] / 5.0, fs=1e6, output="sos")  # gain in the first section
+        rows = butter(4, RATES[profile] / 5.0, fs=1e6, output="sos")  # its whole gain is in the first section
         assert np.prod(result.sos[:, :3].sum(axis=1)) == pytest.approx(np.prod(rows[:, :3].sum(axis=1)), rel=1e-6)
         poles = np.sort_complex(np.concatenate([np.roots([1.0, *row[3:]]) for row in result.sos]))
         assert np.abs(poles - np.sort_complex(np.concatenate([np.roots(r[3:]) for r in rows]))).max() < 1e-9

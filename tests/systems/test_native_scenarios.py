@@ -95,7 +95,7 @@ STAYS = {
     "GupfcPlant.outputs: slice": "gupfc_s2",
     "pulses.gates: an array of something else than numbers": "gupfc_s5 gupfc_s5_sweep",
     "many ticks are discarded": "manipulator_adsmc_stretch_minus manipulator_adsmc_stretch_plus",
-    # searches that see each sample: Python's until they are over
+    # searches read each sample, so these runs stay in Python until the search is over
     "gives up": "pv_mppt_certified_transients pv_mppt_s2_certified_transients pv_mppt_s5_certified_transients",
     "Track.open: an assignment to a part of something": """
         pwa_delay_p3 pwa_delay_p3_unstable pwa_delay_p3_sine pwa_delay_p3_nonlinear""",

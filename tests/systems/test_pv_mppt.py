@@ -584,7 +584,7 @@ def test_impossible_conditions_are_refused(change, text):
     assert power.max() == pytest.approx(98.22, abs=0.3)
 
 
-def test_darkness_and_light_again():
+def test_a_tracker_keeps_its_duty_in_darkness_and_searches_when_the_light_returns():
     """All modules dark: no power, no division; the tracker keeps its duty and searches when the light is back."""
     plant, tracker = ByHand(PvPlant()), ByHand(MpptOptimiser(algorithm="ramp"))
     phases, duties, t = [], [], 0

@@ -63,7 +63,7 @@ def test_the_junction_voltage_and_its_slope_by_scipy(c):
         assert slope.tolist() == pytest.approx(exact, rel=1e-6)
 
 
-def test_a_module_in_other_light_and_at_other_temperatures():
+def test_the_circuit_of_a_module_follows_light_and_temperature():
     p = ModuleParams(V_oc=20.0, I_sc=4.0, N_s=30, K_I=0.003, K_V=-0.07, a=1.2, R_s=0.3, R_p=500.0)
     for g, t in ((1000.0, 25.0), (250.0, 60.0), (0.0, -10.0)):
         result = cell(p, g, t)

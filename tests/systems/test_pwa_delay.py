@@ -738,7 +738,8 @@ def test_a_change_of_the_delay_moves_the_margin():
     t, x = run.signals["pwa/state/x1/position"]
     assert run.signals["pwa/mode/delay/position"].x[[0, -1]].tolist() == [1.5, 1.65]
     early, late = (np.abs(x[(t > at) & (t < at + 10.0)]).max() for at in (60.0, 100.0))
-    assert math.log(late / early) / 40.0 == pytest.approx(0.021239, abs=2e-3)  # of peaks in windows
+    # the growth of the peaks between two windows
+    assert math.log(late / early) / 40.0 == pytest.approx(0.021239, abs=2e-3)
 
 
 @pytest.mark.parametrize("controller", [TankController, PendulumController])

@@ -488,7 +488,7 @@ def test_the_bound_of_the_level_is_its_integral(start):
 
 
 def test_no_level_is_bounded_if_the_drain_is_as_large_as_the_inflow():
-    for c, bounded in ((0.1, False), (0.0999, True)):  # 0.2 * 0.25 against c * 0.5
+    for c, bounded in ((0.1, False), (0.0999, True)):  # the drain c * 0.5 equals the inflow 0.2 * 0.25, or is smaller
         result = level_bound(0.0, s=0.25, kL=0.2, c=c)
         assert result[:2] == ((0.25, 0.25) if bounded else (0.0, 0.25))
         assert result.certified is bounded

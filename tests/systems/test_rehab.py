@@ -517,7 +517,7 @@ def test_a_guarded_search_has_a_range_below_its_limit():
 
 
 def test_a_search_called_directly_equals_that_of_the_node():
-    """Between the bounds of the node's parameters, a guarded one up to its limit where that is less."""
+    """It searches between the bounds of the parameters; a guarded parameter ends at its limit if that is smaller."""
     params = Tuner.Params()
     assert guarded_limit() < params.upper
     for guarded, upper in ((False, params.upper), (True, guarded_limit())):
