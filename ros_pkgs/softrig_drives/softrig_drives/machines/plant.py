@@ -110,8 +110,8 @@ class MachinePlant(Plant[P]):
         p = self.p
         self._m = self.constants()
         self._inverter, self._mechanics = p.inverter_numbers(), np.array(p.mechanics_numbers())
-        self._seen = self.MACHINE.seen
-        self._move = stepper(self.MACHINE.rates, self.MACHINE.seen)
+        self._seen = self.MACHINE.outputs_of
+        self._move = stepper(self.MACHINE.rates, self.MACHINE.outputs_of)
         self._profile = StepProfile(p.load_times, p.load_torques)
         self._period = to_ns(p.period)
         self._two_masses = p.J_load > 0.0
