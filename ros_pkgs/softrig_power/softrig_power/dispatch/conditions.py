@@ -58,7 +58,7 @@ class Losses:
                 raise TableError(f"{path.name}: {column} is no column of {LOSSES.title}{closest(column, known)}")
         for row in rows[1:]:
             if row.values.get(CONSTANT):
-                raise TableError(f"{row.where}: {CONSTANT} belongs into the first row")
+                raise TableError(f"{row.source}: {CONSTANT} belongs into the first row")
         B = np.array([[row.number(name) for name in ids] for row in rows])
         B0 = np.array([row.number(LINEAR, 0.0) for row in rows])
         return cls(0.5 * (B + B.T), B0, rows[0].number(CONSTANT, 0.0))

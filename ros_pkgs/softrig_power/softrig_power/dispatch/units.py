@@ -119,9 +119,9 @@ class Units:
             more.append([row.number(column, np.nan) for column in MORE])
             for column, value in zip(MORE, more[-1], strict=True):
                 if value < 0.0:
-                    raise TableError(f"{row.where}, column {column}: {value:g}, expected at least 0")
+                    raise TableError(f"{row.source}, column {column}: {value:g}, expected at least 0")
                 if column.startswith("ramp") and np.isfinite(value) and not np.isfinite(more[-1][0]):
-                    raise TableError(f"{row.where}: {column} needs p_now_MW, from which it counts")
+                    raise TableError(f"{row.source}: {column} needs p_now_MW, from which it counts")
         if not rows:
             raise TableError(f"{path.name}: no unit in it")
         return cls(tuple(ids), np.array(rows), np.array(more) if np.isfinite(more).any() else None)
