@@ -76,15 +76,6 @@ def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_resp
     assert match.trace == sorted(match.trace, reverse=True)
 
 
-def test_one_number_has_no_covariance_and_goes_to_tpe():
-    def measure(points):
-        return [(point[0] - 0.37) ** 2 for point in points]
-
-    result, by_tpe = (search([1], measure, 40, seed=2, sampler=sampler) for sampler in ("cmaes", "tpe"))
-    assert (result.point, result.trace) == (by_tpe.point, by_tpe.trace)
-    assert result.least < 1e-3
-
-
 def test_cma_es_imports_without_the_other_optimisers_of_its_package(monkeypatch):
     for name in [name for name in sys.modules if name.startswith(("cmaes", "scipy.stats"))]:
         monkeypatch.delitem(sys.modules, name)
@@ -104,14 +95,6 @@ def test_a_disturbance_added_to_a_signal_is_a_fault_and_its_worst_profile_is_fou
     added = signals["motor/command/profile_0/armature/effort"].x - u
     steps = np.minimum((t / 0.25 + 1e-9).astype(int), 5)
     assert added == pytest.approx(np.array([-0.5, 0.5, -0.25, 0.5, 0.0, -0.5])[steps], abs=1e-12)
-
-
-def test_ranges_are_met_at_both_ends_and_in_between():
-    log = parse("a.b", "log 0.01..100")
-    assert [log.value(u) for u in (0.0, 0.5, 1.0)] == [0.01, pytest.approx(1.0), 100.0]
-    assert log.place(1.0) == pytest.approx(0.5)
-    line = parse("a.b", "-1..3")
-    assert [line.value(u) for u in (0.0, 0.25, 1.0)] == [-1.0, 0.0, 3.0]
 
 
 @pytest.mark.parametrize(
@@ -177,74 +160,6 @@ def test_the_limit_of_a_single_parameter_is_found_by_bisection():
     inside = run(trial(space.scenario, case[1] | {"pid.kp": gain + 1e-3}, ("deviation",)))["figures"]["deviation"]
     at = run(trial(space.scenario, case[1], ("deviation",)))["figures"]["deviation"]
     assert at < 0.0 < inside
-
-
-def corner_climbs(points):
-    """A margin that only one corner violates, and that each right bound reduces."""
-    return [sum(abs(u - (k % 3 == 0)) for k, u in enumerate(p)) - 0.5 for p in points]
-
-
-def test_corners_come_first_and_coordinate_search_finds_the_violating_one():
-    asked = []
-
-    def measure(points):
-        asked.extend(points)
-        return corner_climbs(points)
-
-    match = search([12], measure, 200, seed=3)
-    low, high = (0.0,) * 12, (1.0,) * 12
-    assert asked[:2] == [low, high]
-    assert all(u in (0.0, 1.0) for p in asked[:20] for u in p)  # the first tenth of the budget tries corners
-    assert any(0.0 < u < 1.0 for u in asked[20])
-    assert len(set(asked[:20])) == 20
-    assert match.least == -0.5
-    asked.clear()
-    search([4, 8], measure, 200, seed=3)
-    # first all profiles together, then each one alone
-    assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]
-
-
-def test_profiles_are_constant_before_they_are_searched_piece_by_piece():
-    """The violation by two inputs between their bounds is rare in general and frequent where both are constant."""
-
-    def asked_until(groups, seed):
-        asked = []
-
-        def measure(points):
-            asked.extend(points)
-            return [max(abs(u - (0.4 if k < groups[0] else 0.7)) for k, u in enumerate(p)) - 0.1 for p in points]
-
-        match = search(groups, measure, 200, seed=seed, enough=0.0)
-        return match.runs if match.least < 0.0 else 1000, asked
-
-    runs, asked = asked_until([6, 6], 0)
-    held = [len(set(p[:6])) == 1 and len(set(p[6:])) == 1 for p in asked]
-    assert all(held[8:40][: runs - 8])  # samples between eight corners and a fifth of the budget
-    assert sorted(asked_until([6, 6], seed)[0] for seed in range(9))[4] <= 40
-
-
-@pytest.mark.parametrize(("groups", "sampler"), [([1], "tpe"), ([2], "cmaes"), ([3, 2], "cmaes"), ([1], "random")])
-def test_no_search_ends_with_budget_left_whatever_margins_it_gets(groups, sampler):
-    def valley(points):
-        return [sum((u - 0.3) ** 2 for u in p) for p in points]
-
-    def flat(points):
-        return [1.0] * len(points)
-
-    def broken(points):
-        return [float("nan")] * len(points)
-
-    for measure in (valley, flat, broken):
-        assert search(groups, measure, 61, seed=2, sampler=sampler).runs == 61
-
-
-def test_the_coordinate_search_restarts_from_other_corners():
-    """Two coordinates must change together: the best corner of the first search is a dead end."""
-
-    def trap(points):
-        return [-1.0 if p[:4] == (1.0, 0.0, 0.0, 1.0) and p[6] == 1.0 else 1.0 + sum(p) for p in points]
-
-    assert search([8], trap, 400, seed=0, enough=0.0).least == -1.0
 
 
 FILE = """
