@@ -146,7 +146,7 @@ class Carrier:
         if self._filled or size > self._size:
             self.drain()
         if size > self._size:
-            self._size, self._memory = size, np.zeros(SLOTS * size // 8, np.int64)
+            self._size, self._memory = size, np.full(SLOTS * size // 8, 0, np.int64)
         self._lent, self._filled = True, False
         # Ticks in Python have no priority, so that the thread has one only now.
         prefer(self._thread, PUBLISHING)

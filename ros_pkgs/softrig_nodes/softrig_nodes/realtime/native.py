@@ -37,7 +37,7 @@ SHARE = 0.1  # of a period: what a tick costs in Python from which on native tic
 WARM, ROUND, ROUNDS = 17, 16, 4  # ticks of a copy of the rig before its cost is measured, ticks in a round, rounds
 LAP = SECOND // 4  # ns: for so many ticks the tables have rows
 ANSWERS = 1 << 24  # bytes of answers in them, at most
-LONGEST = 2 * SECOND  # ns: then the states of the nodes are stored, for status files and reports
+LONGEST = 2 * SECOND  # ns: then native ticks end once, if a block has reported something, so that it is logged
 EVERY = SECOND // 200  # ns from one look whether something is in the way to the next
 STORE = 4  # looks from one storing of answers to the next
 SHORT, REST = SECOND // 100, SECOND // 20  # ns: after a shorter run of native ticks Python keeps the ticks for so long
@@ -209,7 +209,10 @@ class Native:
         lap = max(1, min(LAP, int(ANSWERS / size) * self._plan.clock.time(1)) // self._plan.clock.time(self._again))
         self._lap = lap * self._again
         self._fit.begin(k, k + self._lap)
-        self._spans = np.zeros((self._lap, 2), np.int64)
+        self._spans = np.empty((self._lap, 2), np.int64)
+        # A first write to a page waits for other threads that change the memory of the process.
+        for table in (self._spans, *(table for tables in self._fit.rows.values() for table in tables)):
+            table.fill(0)
         self._published = self._read()
         self._first = self._taken = self.reached = k
         self._live = np.array([0, k, k, 0, 0, 0], np.int64)
@@ -282,7 +285,7 @@ class Native:
     def look(self) -> bool:
         """Store new answers now and then; return whether the native ticks go on: nothing is in the way of them."""
         self._looks += 1
-        over = self._plan.clock.time(self.reached - self._first) > LONGEST
+        over = self._plan.clock.time(self.reached - self._first) > LONGEST and self._fit.reported[:1].any()
         if over or not self._thread.is_alive() or not self._free(self.reached) or self._published != self._read():
             self.end()
             return False
