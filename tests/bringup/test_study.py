@@ -27,12 +27,12 @@ from softrig_bringup.plots.named import plot_name
 from softrig_bringup.study import page, pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
-from softrig_bringup.study.draw import cases, count, drafts_of, draw
+from softrig_bringup.study.draw import drafts_of, draw
 from softrig_bringup.study.engine import check_study, run_study
 from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
 from softrig_bringup.study.statistics import statistics
-from softrig_bringup.study.table import claims, results, summarise, without_signals
+from softrig_bringup.study.table import claims, results, without_signals
 from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
 
@@ -73,22 +73,6 @@ def rows_of(study, out, **keys):
 
 
 # points -----------------------------------------------------------------------------------------------------------
-
-
-def test_runs_are_the_product_of_cases_grid_draws_and_seeds():
-    demo = study(
-        cases={"a": {}, "b": {"plant.gain": 2.0}},
-        grid={"gain.k": [1, 2, 3]},
-        seeds=2,
-        draws={"count": 4, "parameters": {"plant.limit": {"uniform": [1, 2]}}},
-    )
-    gathered = list(cases(demo))
-    assert count(demo) == len(gathered) == 2 * 3 * 4 * 2
-    assert [c.number for c in gathered] == list(range(48))
-    assert {(c.case, c.overrides["gain.k"], c.seed) for c in gathered} == {
-        (case, k, s) for case in "ab" for k in (1, 2, 3) for s in (0, 1)
-    }
-    assert all(("plant.gain" in c.overrides) == (c.case == "b") for c in gathered)
 
 
 @pytest.mark.parametrize("method", ["random", "latin_hypercube", "sobol"])
@@ -412,25 +396,6 @@ def test_a_killed_study_leaves_no_process(folder, number, status):
 
 
 # over the runs ----------------------------------------------------------------------------------------------------
-
-
-def test_summaries_agree_with_an_independent_computation():
-    rows = [
-        {"case": c, "seed": s, "scenario": "lag", "overrides": {"k": k}, "figures": {"f": f}}
-        for c, s, k, f in [("a", 0, 1, 1.0), ("a", 1, 1, 3.0), ("b", 0, 2, 8.0), ("b", 1, 2, None)]
-    ]
-
-    def value(**keys):
-        return summarise(rows, study(summaries={"s": {"figure": "f"} | keys}).summaries["s"])
-
-    assert value(where={"case": "a"}) == 2.0
-    assert value(where={"k": 1}, statistic="max") == 3.0
-    assert value(where={"case": "a"}, statistic="quantile", q=0.25) == 1.5
-    assert value(where={"seed": 0}, statistic="sum") == 9.0
-    assert value(statistic="share", of="at most 4") == 0.5
-    assert value(statistic="count") == 4.0
-    assert math.isnan(value())
-    assert math.isnan(value(where={"case": "c"}))
 
 
 @pytest.mark.parametrize(
