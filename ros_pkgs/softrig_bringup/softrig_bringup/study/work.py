@@ -13,7 +13,9 @@ import numpy as np
 from softrig_core import SECOND, Rig, Run, RunError, Scenario, ScenarioError, evaluate, simulate
 from softrig_core.errors import Impure
 from softrig_core.run.stuck import watch_on
+from softrig_core.rig.outside import is_foreign
 from softrig_core.scenario.scenario import Draft
+from softrig_core.solver.solver import Solver
 
 from .draw import Case
 
@@ -113,7 +115,13 @@ def run(work: Work, thorough: bool = False) -> dict[str, Any]:
 
 
 def warm(rig: Rig, work: Work) -> None:
-    """Run a case until little of it is left, so that copies of this process share what a run imports and loads."""
+    """Run a case until little of it is left, so that copies of this process share what a run imports and loads.
+
+    Rigs with blocks that are not softrig's own are left out, because these may end the process; so are rigs with a
+    solver, which works in a process of its own.
+    """
+    if any(is_foreign(m.block_class) or issubclass(m.block_class, Solver) for m in rig.members):
+        return
     calls: list[tuple[float, float]] = []
 
     def enough(t: int) -> None:
@@ -122,7 +130,7 @@ def warm(rig: Rig, work: Work) -> None:
         if len(calls) > 2:
             (begin, earlier), (end, now) = calls[-2:]
             if (now - earlier) * (rig.scenario.duration - end) > LEFT * (end - begin):
-                raise RunError("enough")
+                raise RunError("enough of it has run")
 
     # The run itself reports what is wrong with it.
     with suppress(RunError, ScenarioError):
