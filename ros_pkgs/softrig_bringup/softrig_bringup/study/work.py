@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from softrig_core import SECOND, Rig, Run, RunError, Scenario, ScenarioError, evaluate, simulate
 from softrig_core.errors import Impure
-from softrig_core.run.stuck import watch_on
 from softrig_core.rig.outside import is_foreign
+from softrig_core.run.stuck import watch_on
 from softrig_core.scenario.scenario import Draft
 from softrig_core.solver.solver import Solver
 
