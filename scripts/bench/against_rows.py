@@ -184,15 +184,19 @@ def works(name, key, values, duration=None):
     draft = read_draft(name)
     return [Work(Case(k, name, "", {key: x}, 1), duration, runs=10_000, scenario=draft) for k, x in enumerate(values)]
 """
+# A worker of a study is a copy of the process that has read it.
 STUDY = """
+from multiprocessing import get_context
 def least(cases):
     def cpu(case):
         begin = time.process_time()
         run(case)
         return time.process_time() - begin
     return 1e3 * min(cpu(case) for case in cases)
-print(json.dumps([least(works("induction_dtc", "im_plant.U_dc", [500.0 + k for k in range(60)], 2.0)),
-                  least(works("dc_motor_smc", "dc_motor_smc.delta", [0.5 + 0.01 * k for k in range(60)]))]))
+studies = [works("induction_dtc", "im_plant.U_dc", [500.0 + 0.5 * k for k in range(120)], 2.0),
+           works("dc_motor_smc", "dc_motor_smc.delta", [0.5 + 0.005 * k for k in range(120)])]
+with get_context("fork").Pool(1) as pool:
+    print(json.dumps(pool.map(least, studies)))
 """
 # The first pass starts two workers and does what the second one does.
 WORKERS = """

@@ -50,6 +50,11 @@ class OnePass:
     tree : plain data
         As `formula.outline` has it.
 
+    Attributes
+    ----------
+    ready : dict
+        What a caller keeps of the formula by the identity of objects, such as its window on some times.
+
     Raises
     ------
     LookupError
@@ -68,6 +73,7 @@ class OnePass:
         if len(self.names) > COLUMNS or self._deepest > DEPTH:
             raise LookupError("too many")
         self.code = np.array(self._code, np.int64)
+        self.ready: dict[tuple[int, ...], Any] = {}
 
     def constants(self, numbers: Mapping[str, Any]) -> Array:
         """Return the constants of its instructions for the numbers that the formula names."""

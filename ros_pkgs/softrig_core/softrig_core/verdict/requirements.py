@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
@@ -43,7 +43,8 @@ from ..wire.signals import full_name
 from ..wire.times import common, once_for_times
 
 Items = tuple[tuple[str, Any], ...]
-# So many sets of times are kept of a requirement: a study has one for all its runs, unless they end at different times.
+Results = Mapping[str, tuple[Array, Array]]
+# So many sets of times are kept of a formula: a study has one for all its runs, unless they end at different times.
 READY = 4
 
 
@@ -65,10 +66,9 @@ class Measured(Protocol):
 class _Ready(NamedTuple):
     """What a margin is computed of while only the values of signals differ from run to run, not their times."""
 
-    times: tuple[Array, ...]
+    objects: tuple[Any, ...]
     grid: Array
     at: Mapping[str, Places]
-    constants: Array
     window: tuple[int, int]
 
 
@@ -95,7 +95,6 @@ class Judge:
     again: Callable[[Mapping[str, float]], Tree] | None = None
     numbers: Mapping[str, float] = field(default_factory=dict)
     native: OnePass | None = None
-    ready: dict[tuple[int, ...], _Ready] = field(default_factory=dict, compare=False, repr=False)
 
     def __call__(self, signals: SignalMap) -> float:
         """Compute the margin; raise a ValueError with the reason if it cannot be judged."""
@@ -130,10 +129,8 @@ class Judge:
         ticks, _ = signals[self.ticker]
         if not len(ticks):
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
-        all_times = ticks, *(t for t, _ in results.values())
-        key = tuple(map(id, all_times))
-        known = self.ready.get(key)
-        if known is not None and ended and (result := self._quickly(known, signals, results)) is not None:
+        plain = self.native if ended and not (self.figures or self.conditions or self.timed) else None
+        if plain is not None and (result := self._quickly(plain, signals, results, ticks)) is not None:
             return result
         grid = _grid(self.clock, ticks)
         samples: dict[str, Any] = {**self.numbers}
@@ -158,21 +155,33 @@ class Judge:
         # With measured times the formula is another one, which has no instructions.
         native = self.native if tree is self.tree else None
         record = Record(grid, samples, truths=truths, late=late, after=after, ended=ended)
-        plain = native is not None and ended and not (self.figures or truths or late or is_long(grid))
-        if native is not None and plain and (window := record.window(tree)) is not None:
-            at = {name: _arrived(_whole_ns(results[name][0]), grid)[0] for name in native.names}
-            if len(self.ready) >= READY:
-                self.ready.clear()
-            # The times are stored too: while they live, no other array can have their identity.
-            self.ready[key] = _Ready(all_times, grid, at, native.constants(samples), window)
+        if plain is not None and not (late or is_long(grid)) and (window := record.window(tree)) is not None:
+            at = {name: _arrived(_whole_ns(results[name][0]), grid)[0] for name in plain.names}
+            objects = self._times(plain, results, ticks)
+            if len(plain.ready) >= READY:
+                plain.ready.clear()
+            # The objects are stored too: while they live, no others can have their identity.
+            plain.ready[tuple(map(id, objects))] = _Ready(objects, grid, at, window)
         return record.margin(tree, native)
 
-    def _quickly(self, known: _Ready, signals: SignalMap, results: Mapping[str, tuple[Array, Array]]) -> Margin | None:
-        """Return the margin in one pass, without what follows from the times alone; None where that is not enough."""
-        assert self.native is not None
+    def _times(self, native: OnePass, results: Results, ticks: Array) -> tuple[Any, ...]:
+        """Return the objects that decide the window of the formula and which sample is valid when."""
+        return self.clock, ticks, *(results[name][0] for name in native.names)
+
+    def _quickly(self, native: OnePass, signals: SignalMap, results: Results, ticks: Array) -> Margin | None:
+        """Return the margin in one pass if an earlier run had the same times; None where that is not enough."""
+        known: _Ready | None = native.ready.get(tuple(map(id, self._times(native, results, ticks))))
+        if known is None:
+            return None
         values = {name: _held(signals, self.signals[name], results[name][1], at) for name, at in known.at.items()}
-        extreme = self.native(values, known.constants, *known.window)
+        extreme = native(values, self.constants, *known.window)
         return None if extreme is None else decided(extreme, known.grid)
+
+    @cached_property
+    def constants(self) -> Array:
+        """The constants of the formula's instructions."""
+        assert self.native is not None
+        return self.native.constants(self.numbers)
 
 
 def _held(signals: SignalMap, signal: str, values: Array, at: Places) -> Array:
