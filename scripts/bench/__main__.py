@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -95,9 +96,9 @@ def about(part: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the named parts, all when none is named."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    for name, part_main in (("against", against.main), ("realtime", realtime.main)):
-        if words[:1] == [name]:
-            return guarded(lambda part_main=part_main: part_main(words[1:]))
+    own_mains = {"against": against.main, "realtime": realtime.main}
+    if words and (part_main := own_mains.get(words[0])):
+        return guarded(partial(part_main, words[1:]))
     about_against = "this checkout and another commit, in turn"
     own = "bench against --help, bench realtime --help: options of these two"
     lines = "\n".join(f"  {part:17}{about(part)}" for part in PARTS)

@@ -126,7 +126,7 @@ def _floor(rate: int, duration: float) -> list[str]:
             subprocess.run(["cc", "-O2", "-o", program, FLOOR], check=True, capture_output=True)
         except (OSError, subprocess.CalledProcessError):
             return ["no C compiler"]
-        words = [program, str(10**9 // rate), str(round(rate * duration))]
+        words = [str(program), str(10**9 // rate), str(round(rate * duration))]
         late, *times = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
     return [f"{float(late):.2%}", *(f"{float(time):.0f}" for time in times)]
 
