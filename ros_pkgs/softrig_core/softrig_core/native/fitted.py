@@ -118,7 +118,7 @@ def text_for(
     """
     if kinds in _refused:
         raise NotNative(_refused[kinds])
-    result = found(kinds, core)
+    result = cached_text(kinds, core)
     if result is None and _worth_another(kinds):
         try:
             text = rig_text(core.steps, recorded, typed)
@@ -133,7 +133,7 @@ def text_for(
     return result
 
 
-def found(kinds: tuple[Any, ...], core: Core) -> CachedText | None:
+def cached_text(kinds: tuple[Any, ...], core: Core) -> CachedText | None:
     """Return a text that was made for such blocks with such constants; None if there is none."""
     roots = [s.block for s in core.steps]
     return next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)

@@ -32,8 +32,8 @@ ROOM_NAP = 50  # us between two looks for a free slot of the ring
 def _peek(typing: Any, address: Any) -> Any:
     """Read eight bytes at an address."""
 
-    def codegen(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        return builder.load(builder.inttoptr(given[0], ir.IntType(64).as_pointer()), align=1)
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.load(builder.inttoptr(values[0], ir.IntType(64).as_pointer()), align=1)
 
     return types.int64(types.int64), codegen
 
@@ -41,8 +41,8 @@ def _peek(typing: Any, address: Any) -> Any:
 def _poke(typing: Any, address: Any, value: Any) -> Any:
     """Write eight bytes to an address."""
 
-    def codegen(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        builder.store(given[1], builder.inttoptr(given[0], ir.IntType(64).as_pointer()), align=1)
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        builder.store(values[1], builder.inttoptr(values[0], ir.IntType(64).as_pointer()), align=1)
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64), codegen
@@ -51,7 +51,7 @@ def _poke(typing: Any, address: Any, value: Any) -> Any:
 def _fence(typing: Any) -> Any:
     """Let another thread see what was written before the fence when it sees what is written after it."""
 
-    def codegen(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         builder.fence("seq_cst")
         return context.get_dummy_value()
 
@@ -71,7 +71,7 @@ def run_one(k, last, n, c, s, arrays):  # type: ignore[no-untyped-def]
     return rig(k, last, n, c, s, *arrays)
 
 
-def ticking(first, last, live, grid, time, calls, slots, ring, publishers, numbers, spans, kept, given, arrays):  # type: ignore[no-untyped-def] # numba compares annotations, too
+def ticking(first, last, live, grid, time, calls, slots, ring, publishers, numbers, spans, kept, head, arrays):  # type: ignore[no-untyped-def] # numba compares annotations, too
     """Run ticks of the clock from `first` up to `last`, each at its time, until something is in the way.
 
     Parameters
@@ -98,7 +98,7 @@ def ticking(first, last, live, grid, time, calls, slots, ring, publishers, numbe
         Gets of each tick how late it began and how long it took, ns.
     kept : tuple of arrays
         Two tables that a discarded tick may have changed, and memory for a copy of each.
-    given : tuple
+    head : tuple
         The first arguments of the rig's function after the ticks: see `softrig_core.native.rig_text`.
     arrays : tuple
         The others.
@@ -108,7 +108,7 @@ def ticking(first, last, live, grid, time, calls, slots, ring, publishers, numbe
     tuple
         State and last outputs after the ticks.
     """
-    n, c, before = given
+    n, c, before = head
     start, over, under, behind, lap, epoch = grid
     gettime, sleep, copy, try_to_wait, post, nap = calls
     messages, size, full, free = ring

@@ -131,7 +131,7 @@ class Carrier:
             self._room = int(not self._c.sem_wait(self._free))
 
     def lend(self, size: int) -> tuple[NDArray[np.int64], tuple[int, ...], int, int]:
-        """Let native code fill the ring with messages of up to `size` bytes, a multiple of 8, until `take_back`.
+        """Let native code fill the ring with messages of up to `size` bytes, a multiple of 8, until `resume`.
 
         Returns
         -------
@@ -153,7 +153,7 @@ class Carrier:
         semaphores = (row.ctypes.data for row in self._semaphores)
         return self._slots, (self._memory.ctypes.data, self._size, *semaphores), self._next, self._room
 
-    def take_back(self, following: int, room: int) -> None:
+    def resume(self, following: int, room: int) -> None:
         """Fill the ring from Python again, from a slot on; native code has left `room` free ones that it found."""
         self._next, self._room, self._lent = following, room, False
         prefer(self._thread, 0)

@@ -29,7 +29,7 @@ def prefer(thread: int, priority: int) -> None:
 
 def tested() -> bool:
     """Return whether C's monotonic clock is that of Python, in a timespec of two numbers of 64 bits (`_ticking`)."""
-    found = (ctypes.c_int64 * 2)()
+    spec = (ctypes.c_int64 * 2)()
     before = time.monotonic_ns()
-    ctypes.CDLL(None).clock_gettime(1, found)
-    return before <= found[0] * 10**9 + found[1] <= time.monotonic_ns()
+    ctypes.CDLL(None).clock_gettime(1, spec)
+    return before <= spec[0] * 10**9 + spec[1] <= time.monotonic_ns()

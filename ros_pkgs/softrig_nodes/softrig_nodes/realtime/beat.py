@@ -60,7 +60,7 @@ class Beat:
         """Answer with the nodes that are due; late ones answer first, with the values up to their tick."""
         first, grid, native = self._drives[0], self._grid, self._native
         if native is not None and native.active:
-            if native.look():
+            if native.check():
                 return
             self._follow_native()
             if self._goes_native():

@@ -23,7 +23,7 @@ from softrig_core.block.step import Step
 from softrig_core.errors import FAILURES, RunError
 from softrig_core.native.audience import Answers, Audience
 from softrig_core.native.compile import compiled
-from softrig_core.native.fitted import CachedText, Core, Fitted, found, kinds_of, text_for
+from softrig_core.native.fitted import CachedText, Core, Fitted, cached_text, kinds_of, text_for
 from softrig_core.native.value import NotNative
 from softrig_core.solver.solver import Solver
 from softrig_core.timebase import SECOND
@@ -74,7 +74,7 @@ class Native:
         self._rests = 0  # ns, monotonic: until then Python runs the ticks
         self._python = 0  # ticks before this one are Python's
         self._fits: tuple[Any, Fitted] | None = None  # a text with its arguments, and what they depend on
-        self._looks = 0
+        self._checks = 0
 
     def _reason(self, text: str) -> None:
         self._function = None
@@ -193,7 +193,7 @@ class Native:
         for drive in self._drives:
             drive.move_on()
         core, recorded = self._core, self._recorded
-        kept = found(kinds_of(core, recorded, compiled), core)
+        kept = cached_text(kinds_of(core, recorded, compiled), core)
         if kept is None or kept is not self._kept:
             self._reason("after a change its text would have to be compiled")
             return False
@@ -214,7 +214,7 @@ class Native:
         for table in (self._spans, *(table for tables in self._fit.rows.values() for table in tables)):
             table.fill(0)
         self._published = self._read()
-        self._first = self._taken = self.reached = k
+        self._first = self._stored = self.reached = k
         self._live = np.array([0, k, k, 0, 0, 0], np.int64)
         longest = max([o.layout.length for o in self._published], default=0)
         *ring, self._live[4], self._live[5] = self._carrier.lend(-(-longest // 8) * 8)
@@ -254,11 +254,11 @@ class Native:
         self._templates: list[Any] = []  # native code has their addresses
         for drive in self._drives:
             node = drive.node
-            where = slots_of(node.step.outputs)
+            columns = slots_of(node.step.outputs)
             for output in node.outgoing.outputs:
                 if output not in outputs:
                     continue
-                layout, table, low = output.layout, fit.rows[id(node.step)].numbers, where[output.number][0]
+                layout, table, low = output.layout, fit.rows[id(node.step)].numbers, columns[output.number][0]
                 template = np.frombuffer(layout.encode(0, (0.0,) * layout.size), np.uint8).copy()
                 self._templates.append(template)
                 begin, column = len(numbers), low
@@ -282,14 +282,14 @@ class Native:
         except Exception as error:
             self._error.append(error)
 
-    def look(self) -> bool:
+    def check(self) -> bool:
         """Store new answers now and then; return whether the native ticks go on: nothing is in the way of them."""
-        self._looks += 1
+        self._checks += 1
         over = self._plan.clock.time(self.reached - self._first) > LONGEST and self._fit.reported[:1].any()
         if over or not self._thread.is_alive() or not self._free(self.reached) or self._published != self._read():
             self.end()
             return False
-        if self._looks % STORE == 0:
+        if self._checks % STORE == 0:
             self._carrier.check()
             self._store()
         return True
@@ -304,7 +304,7 @@ class Native:
         self._live[ticking.STOP] = 1
         self._thread.join()
         self.active = False
-        self._carrier.take_back(int(self._live[ticking.NEXT]), int(self._live[ticking.ROOM]))
+        self._carrier.resume(int(self._live[ticking.NEXT]), int(self._live[ticking.ROOM]))
         if self._error:
             raise self._error[0]
         self._store()
@@ -321,16 +321,16 @@ class Native:
         """Record the answers since the last call, show them to observers, and count the ticks."""
         ticking = importlib.import_module("softrig_nodes.below._ticking")
         reached, lap = int(self._live[ticking.REACHED]), self._lap
-        while self._taken < reached:
-            first = self._taken
+        while self._stored < reached:
+            first = self._stored
             begin = self._first + (first - self._first) // lap * lap
             last = min(reached, begin + lap)
             answers = {}
             for s in self._fit.recorded:
-                own = self._plan.own(s.schedule, first, last)
-                row = own.start - self._plan.own(s.schedule, begin, begin).start
+                ticks = self._plan.own(s.schedule, first, last)
+                row = ticks.start - self._plan.own(s.schedule, begin, begin).start
                 tables = self._fit.rows[id(s)]
-                answers[id(s)] = Answers(*(np.array(table[row : row + len(own)]) for table in tables))
+                answers[id(s)] = Answers(*(np.array(table[row : row + len(ticks)]) for table in tables))
             spans = self._spans[first - begin : last - begin].copy()
             try:
                 self._audience.watch(self._fit.recorded, first, last, answers)
@@ -340,7 +340,7 @@ class Native:
             for drive in self._drives:
                 every = self._plan.every(drive.node.schedule)
                 drive.count_native(self._plan.own(drive.node.schedule, first, last), spans[-first % every :: every])
-            self._taken = self._live[ticking.TAKEN] = last
+            self._stored = self._live[ticking.TAKEN] = last
         self.reached = reached
 
 

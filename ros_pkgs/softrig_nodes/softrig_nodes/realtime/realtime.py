@@ -378,22 +378,22 @@ class Realtime(Link):
                 self.node.broke(error)
             self._moved = self.tick_number + 1
 
-    def count_native(self, own: range, spans: NDArray[np.int64]) -> None:
+    def count_native(self, ticks: range, spans: NDArray[np.int64]) -> None:
         """Count native ticks.
 
         Parameters
         ----------
-        own : range
+        ticks : range
             By their numbers.
         spans : array of int64, shape (n, 2)
             How late each began, and how long it took, ns.
         """
         node = self.node
-        if not own:
+        if not ticks:
             return
-        node.ticks += len(own)
-        self.tick_number, self._moved = own[-1], own.stop
-        node.step.t = node.schedule.time(own[-1])
+        node.ticks += len(ticks)
+        self.tick_number, self._moved = ticks[-1], ticks.stop
+        node.step.t = node.schedule.time(ticks[-1])
         late, durations = spans.T
         self._lateness.extend(late.tolist())
         self._latest = max(self._latest, int(late.max()))
