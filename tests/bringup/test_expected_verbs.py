@@ -1038,7 +1038,7 @@ def test_a_run_in_a_cell_has_four_pictures_at_most(lag, monkeypatch):
     run, asked = simulate("lag"), []
     head = bytes(16) + (64).to_bytes(4, "big") + (48).to_bytes(4, "big")
 
-    def plot_run(signals, rig, folder, most):
+    def plot_run(signals, rig, folder, most, results):
         asked.append(most)
         for k in range(6):
             (folder / f"p{k}.png").write_bytes(head)

@@ -47,7 +47,7 @@ def lag(tmp_path, monkeypatch):
     )
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(f"{RUN}.plot_run", lambda *_: [])  # pictures and page are tested elsewhere
+    monkeypatch.setattr(f"{RUN}.plot_run", lambda *_, **__: [])  # pictures and page are tested elsewhere
     monkeypatch.setattr(f"{RUN}.write_report", lambda folders, page: page.touch())
 
 

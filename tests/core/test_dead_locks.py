@@ -166,3 +166,17 @@ def test_a_writer_to_a_dead_reader_that_held_its_port_continues(tmp_path):
         assert first > 0.5
         assert after < 0.5 * first
         rclpy.shutdown(context=context)
+
+
+def test_a_port_that_is_removed_while_it_is_read_ends_no_run(tmp_path, monkeypatch):
+    path = port(tmp_path, of_domain(DOMAIN)[0])
+    open_file = os.open
+
+    def removed_at_once(name, *options):
+        file = open_file(name, *options)
+        path.unlink()
+        return file
+
+    monkeypatch.setattr(dead_locks.os, "open", removed_at_once)
+    assert DeadLocks(tmp_path).release(DOMAIN) == 0
+    assert not path.exists()

@@ -35,7 +35,18 @@ def plain(monkeypatch):
     """The compiled functions as plain ones, in every module that has them."""
     names = ("wanted", "limited", "phases", "turned", "grid", "sample", "turn_over", "modulation", "carrier", "compare")
     for module in (circuit, averaged, switched, diodes, quality):
-        for name in (*names, "crossing", "piece", "slopes", "slopes_dq", "seen", "settle", "carried", "read", *MORE):
+        for name in (
+            *names,
+            "crossing",
+            "piece",
+            "slopes",
+            "slopes_dq",
+            "add_signals",
+            "settle",
+            "carried",
+            "read",
+            *MORE,
+        ):
             if hasattr(result := getattr(module, name, None), "py_func"):
                 monkeypatch.setattr(module, name, result.py_func)
 

@@ -77,7 +77,7 @@ class DeadLocks:
             try:
                 # A port may be removed and created again under the same name, so the inode is part of the key.
                 key = path, os.fstat(file).st_ino
-                offset = offsets[key] if key in offsets else _mutex_offset(path)
+                offset = offsets[key] if key in offsets else _mutex_offset(file, Path(path))
                 self._places[key] = offset
                 for lock in _held_mutexes(key, file, offset):
                     if lock in before:
@@ -101,10 +101,11 @@ def _held_mutexes(key: tuple[str, int], file: int, start: int) -> Iterator[HeldM
             yield HeldMutex(*key, start + offset, owner)
 
 
-def _mutex_offset(path: str) -> int:
+def _mutex_offset(file: int, path: Path) -> int:
     """Return the offset of a port's description; -1 if its mutexes are not at the expected places."""
-    segment = Path(path).read_bytes()
-    start = judged(segment, Path(path))
+    # The port may have been removed since it was opened, so it is not opened again by its path.
+    segment = os.pread(file, os.fstat(file).st_size, 0)
+    start = judged(segment, path)
     if start < 0 or len(segment) < start + MUTEXES[0] + BOTH.size:
         return -1
     fields = BOTH.unpack_from(segment, start + MUTEXES[0])
