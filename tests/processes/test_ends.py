@@ -347,8 +347,9 @@ def test_what_code_of_a_node_has_started_and_left_ends_with_the_run():
 
 @pytest.mark.processes
 @pytest.mark.parametrize("containers", [pytest.param((), marks=pytest.mark.long), [("plant", "source", "gain")]])
-def test_nodes_whose_processes_are_stopped_end_the_run_by_name(containers, tmp_path, monkeypatch):
-    monkeypatch.setenv("SOFTRIG_JIT", "0")  # native code would end the run before the signal arrives
+def test_nodes_whose_processes_are_stopped_end_the_run_by_name(containers, tmp_path):
+    # At full speed native code would end the run before the signal arrives.
+    placement = Placement(containers=containers, pace=100.0)
     rig = rig_of(make_scenario(BASIC, 1e4, timeout=2.0))
 
     def progress(t):
@@ -357,7 +358,7 @@ def test_nodes_whose_processes_are_stopped_end_the_run_by_name(containers, tmp_p
                 if b"__node:=plant" in command:
                     os.kill(pid, signal.SIGSTOP)
 
-    outcome = run_processes(rig, 0, tmp_path, Placement(containers=containers), Listener(progress=progress))
+    outcome = run_processes(rig, 0, tmp_path, placement, Listener(progress=progress))
     held = "plant, source, gain" if containers else "plant"
     assert outcome.error.startswith(f"node {held}: its process is stopped (SIGSTOP)")
     assert len(outcome.recording.topics["lag/state"].times) > 10

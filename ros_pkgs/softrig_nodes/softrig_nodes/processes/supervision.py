@@ -70,7 +70,8 @@ def supervise(
         plant = next((c for c in children if c.member is first), children[0])
         state = states[plant.member.name]
         t = state.get("t", 0)
-        busy = any(states[c.member.name].get("busy") for c in running)
+        # The newest status of a process that is stopped may still say busy, for example in a paced run.
+        busy = any(states[c.member.name].get("busy") and not is_held(c) for c in running)
         if realtime:
             if late == math.inf and state.get("epoch"):
                 to_start = _to_start(state["epoch"], rig.scenario.start_timeout)
