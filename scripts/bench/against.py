@@ -22,7 +22,7 @@ PAGE = page(
     "CPU s is the user and system time of a command and its processes, with compiled code in the cache and fresh "
     "memory pages in each process.",
 )
-HEADS = ("what", "unit", "before", "now", "ratio", "asked")
+HEADS = ("what", "unit", "before", "now", "ratio", "target")
 # One scenario of each system, at its full length.
 SCENARIOS = (
     "dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "manipulator_adsmc",
@@ -91,13 +91,13 @@ def compared(other: Path, names: Sequence[str], rounds: int | None = None) -> di
 
 
 def rows(values: Mapping[str, tuple[list[Values], ...]]) -> Table:
-    """Return name, unit, value before and now, their ratio, each the median over rounds, and what was asked."""
+    """Return name, unit, value before and now, their ratio, each the median over rounds, and the target."""
     result: Table = []
     for name, (before, now) in values.items():
-        for k, (part, unit, asked) in enumerate(ROWS[name].parts):
+        for k, (part, unit, target) in enumerate(ROWS[name].parts):
             old, new = ([round_[k] for round_ in rounds] for rounds in (before, now))
             ratio = median(n / b for b, n in zip(old, new, strict=True))
-            result.append((name + part, unit, f"{median(old):.3g}", f"{median(new):.3g}", f"{ratio:.2f}", asked))
+            result.append((name + part, unit, f"{median(old):.3g}", f"{median(new):.3g}", f"{ratio:.2f}", target))
     return result
 
 

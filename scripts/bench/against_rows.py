@@ -28,7 +28,7 @@ class Row:
     measure : callable
         (checkout, scratch folder) -> values.
     parts : tuple of (str, str, str)
-        Of each value: what is appended to the name of the row, its unit, and what was asked.
+        Of each value: what is appended to the name of the row, its unit, and the target.
     rounds : int
         How often it is measured; before these once without counting, if `warm`.
     slow : bool
@@ -226,11 +226,11 @@ STUDY_400 = "study induction_dtc --duration 2 --draw im_plant.U_dc=500..560 --dr
 CPU, MB = "CPU s", "MB"
 
 
-def _command(words: str, asked: str, **how: int | bool) -> Row:
-    return Row(partial(cost, words), (("", CPU, asked),), **how)  # type: ignore[arg-type]
+def _command(words: str, target: str, **how: int | bool) -> Row:
+    return Row(partial(cost, words), (("", CPU, target),), **how)  # type: ignore[arg-type]
 
 
-# `made` is the result of `PREPARED`, OUT a new place. What was asked is a share of the earlier build if it has no unit.
+# `made` is the result of `PREPARED`, OUT a new place. A target is a share of the earlier build if it has no unit.
 PREPARED = f"run {B2} --mode inprocess --out made"
 ROWS = {
     "list": _command("list", "0.5"),
