@@ -20,7 +20,7 @@ from softrig_bringup.study.batch import Batch, Log, row_of
 from softrig_bringup.study.definition import Distribution, Draws, make_study
 from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
 from softrig_bringup.study.statistics import Statistics
-from softrig_core import RunError, ScenarioError, rig_of, simulate
+from softrig_core import Run, RunError, ScenarioError, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
 
 X = "lag/state/x/position"
@@ -621,8 +621,11 @@ def test_a_latin_hypercube_is_that_of_scipy(count, dimensions, seed):
     assert [list(point.values()) for point in points] == wanted.tolist()
 
 
-@pytest.mark.parametrize(("left", "foreign", "calls"), [(math.inf, False, 102), (-1.0, False, 3), (math.inf, True, 0)])
-def test_a_first_run_before_workers_are_copied_ends_when_much_of_it_is_left(left, foreign, calls, monkeypatch):
+@pytest.mark.parametrize(
+    ("left", "foreign", "begins", "ends"),
+    [(math.inf, False, True, True), (-1.0, False, True, False), (math.inf, True, False, False)],
+)
+def test_a_first_run_before_workers_are_copied_ends_when_much_of_it_is_left(left, foreign, begins, ends, monkeypatch):
     seen = []
 
     def simulated(*arguments, progress, **keywords):
@@ -635,4 +638,6 @@ def test_a_first_run_before_workers_are_copied_ends_when_much_of_it_is_left(left
     # Blocks that are not softrig's own could end this process, so they first run in a worker.
     monkeypatch.setattr(work, "is_foreign", lambda block: foreign)
     work.warm(rig_of("dc_motor_smc", duration=0.1), work.Work(Case(0, "dc_motor_smc", "", {}, 1)))
-    assert len(seen) == calls
+    # A native run reports its progress less often than one in Python.
+    assert (bool(seen), any(isinstance(x, Run) for x in seen)) == (begins, ends)
+    assert left > 0.0 or len(seen) == 3
