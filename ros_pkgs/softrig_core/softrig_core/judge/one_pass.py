@@ -18,6 +18,7 @@ from ..arrays import Array
 from ..kit.jit import jit
 from .arithmetic import Tree, arithmetic, called, carries
 from .formula import FUTURE, variables
+from .sums import fixed
 
 COLUMNS = 6  # signals that a formula may read
 DEPTH = 8  # values that are at hand at a time
@@ -91,12 +92,9 @@ class OnePass:
         first, last : int
             Index of the first and the last sample of its window.
         """
-        columns = [samples[name].view() for name in self.names] or [np.zeros(1)]
+        columns = [fixed(samples[name]) for name in self.names] or [fixed(np.zeros(1))]
         if first > last or not all(column.flags.c_contiguous and column.dtype == float for column in columns):
             return None
-        for column in columns:
-            # numba would compile a second form for arrays that may be written.
-            column.flags.writeable = False
         # The native function has a fixed number of columns; its instructions never load those that only fill up.
         columns += columns[:1] * (COLUMNS - len(columns))
         edges = np.empty(2 * SPANS, np.int64)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..kit.jit import jit
+from ..wire.long import halved
 
 Order = NDArray[np.int64]
 LEAF = 128  # numbers that numpy adds without halving
-ROWS = 8  # partial sums of these, which native code has in its variables
 DEPTH = 64  # sums that wait for their other half
 
 
@@ -35,11 +35,10 @@ def pairs(count: int, each: int = 1) -> Order:
     result: list[list[int]] = []
 
     def add(first: int, last: int) -> None:
-        size = each * (last - first)
-        if size <= LEAF:
+        if each * (last - first) <= LEAF:
             result.append([last, 0])
             return
-        middle = first + (size // 2 - size // 2 % ROWS) // each
+        middle = halved(first, last, each)
         add(first, middle)
         add(middle, last)
         result[-1][1] += 1

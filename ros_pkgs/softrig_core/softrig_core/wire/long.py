@@ -264,13 +264,17 @@ def _reduced(function: Any, x: Any, axis: Any = 0, keepdims: bool = False, **sta
 
 
 def _sum(x: LongArray, first: int, last: int) -> Any:
-    """Add in pairs as numpy does, which halves a long array at a multiple of eight numbers."""
+    """Add in pairs as numpy does."""
     if last - first <= STRETCH:
         return x.read(first, last).sum(axis=-1)
-    each = 2 if x.dtype.kind == "c" else 1  # a complex number counts as two
-    half = (last - first) * each // 2
-    middle = first + (half - half % 8) // each
+    middle = halved(first, last, 2 if x.dtype.kind == "c" else 1)
     return _sum(x, first, middle) + _sum(x, middle, last)
+
+
+def halved(first: int, last: int, each: int) -> int:
+    """Return where numpy halves a sum of terms of one or, if they are complex, two numbers: at a multiple of eight."""
+    half = (last - first) * each // 2
+    return first + (half - half % 8) // each
 
 
 def _index_of(x: LongArray, extreme: Callable[..., Any]) -> int:

@@ -131,7 +131,8 @@ class Native:
         if kept is None:
             return
         fit = Fitted(kept, core, recorded, self._plan, True)
-        function = importlib.import_module("softrig_nodes.below._ticking").made(kept.function)
+        self._ticking = importlib.import_module("softrig_nodes.below._ticking")  # which needs numba
+        function = self._ticking.made(kept.function)
         fit.begin(0, 1)
         live = np.zeros(6, np.int64)
         try:
@@ -300,7 +301,7 @@ class Native:
 
     def end(self) -> None:
         """End the native ticks, and store the states of the nodes after them."""
-        ticking = importlib.import_module("softrig_nodes.below._ticking")
+        ticking = self._ticking
         self._live[ticking.STOP] = 1
         self._thread.join()
         self.active = False
@@ -319,7 +320,7 @@ class Native:
 
     def _store(self) -> None:
         """Record the answers since the last call, show them to observers, and count the ticks."""
-        ticking = importlib.import_module("softrig_nodes.below._ticking")
+        ticking = self._ticking
         reached, lap = int(self._live[ticking.REACHED]), self._lap
         while self._stored < reached:
             first = self._stored
