@@ -272,18 +272,18 @@ def ears(process):
     return {Path(f.removesuffix("_el")) for f in opened if f.endswith("_el") and PORT.search(f)}
 
 
+def command_lines():
+    """Command lines of all processes by pid, without those that end while they are read."""
+    result = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            result[int(entry.name)] = (entry / "cmdline").read_bytes()
+    return result
+
+
 def processes_of(directory):
     """Command lines, by pid, of the living processes of a run: they name the run's parameter files."""
-    result = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                command = (entry / "cmdline").read_bytes()
-            except OSError:
-                continue
-            if str(directory).encode() in command:
-                result[int(entry.name)] = command
-    return result
+    return {pid: command for pid, command in command_lines().items() if str(directory).encode() in command}
 
 
 def no_process_left(directory):

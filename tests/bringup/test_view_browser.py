@@ -4,10 +4,9 @@ import json
 import os
 import shutil
 import signal
-from pathlib import Path
 
 import pytest
-from conftest import PATIENCE, SLOW_DRIVE
+from conftest import PATIENCE, SLOW_DRIVE, processes_of
 from softrig_bags.read import signals
 from softrig_bringup.cli import main
 from test_view import address, running
@@ -126,11 +125,7 @@ def test_a_page_whose_server_is_killed_is_restarted_and_the_run_continues(tmp_pa
         try:
             browser.until(f"return {MODEL}.label === 'resume'", "hold")
             browser.driver.execute_script("window.before = true")
-            (page,) = (
-                int(result.parent.name)
-                for result in Path("/proc").glob("[0-9]*/cmdline")
-                if b"softrig_bringup.view.serve" in (line := result.read_bytes()) and str(tmp_path).encode() in line
-            )
+            (page,) = (p for p, command in processes_of(tmp_path).items() if b"softrig_bringup.view.serve" in command)
             os.kill(page, signal.SIGKILL)
             browser.until("return window.before === undefined && window.Bokeh !== undefined && Bokeh.documents.length")
             browser.until(f"return {MODEL} && {MODEL}.label === 'resume'", "hold")

@@ -203,6 +203,14 @@ def with_law(parameters: dict[str, Any]) -> Rig:
     return rig_of(Scenario(name="doors", **result))
 
 
+def program_of(pid: str) -> str:
+    """Return the command line of a process, empty if it has ended."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text(errors="replace")
+    except OSError:
+        return ""
+
+
 def library(chance: random.Random, directory: Path) -> None:
     """A law in C that breaks in one way, in this process or in its own."""
     faults = ("STATIC", "RANDOM", "CRASH", "GIVES_UP", "NOT_A_NUMBER", "CONSTANT", "ABORT", "RECURSE", "EXIT")
@@ -213,7 +221,7 @@ def library(chance: random.Random, directory: Path) -> None:
         simulate(with_law({"flags": [f"-DFAULT={name}"], "isolated": apart, "timeout": 0.5}))
     finally:
         children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-        shims = [c for c in children if "shim_" in Path(f"/proc/{c}/cmdline").read_text(errors="replace")]
+        shims = [c for c in children if "shim_" in program_of(c)]
         ended = ("CRASH", "ABORT", "RECURSE", "EXIT", "CLOSES", "FORKS")  # the others end when the run is forgotten
         assert not shims or name not in ended, f"{name}: left {shims}"
 

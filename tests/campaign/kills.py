@@ -112,13 +112,13 @@ def strike(chance: random.Random, runner: int, directory: Path) -> tuple[str, in
     if nodes and chance.random() < 0.6:
         number = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM, signal.SIGSTOP))
         victim, kind = chance.choice(nodes), "node"
-        if number == signal.SIGSTOP and b"model.worker" in Path(f"/proc/{victim}/cmdline").read_bytes():
-            number = signal.SIGKILL  # a solver has no time limit: the run would wait for a stopped one forever
     else:
         number, victim, kind = chance.choice((signal.SIGKILL, *ENDINGS)), runner, "runner"
     try:
+        if number == signal.SIGSTOP and b"model.worker" in Path(f"/proc/{victim}/cmdline").read_bytes():
+            number = signal.SIGKILL  # a solver has no time limit: the run would wait for a stopped one forever
         os.kill(victim, number)
-    except ProcessLookupError:
+    except (ProcessLookupError, FileNotFoundError):
         return "nobody", signal.SIGKILL
     return kind, number
 

@@ -14,6 +14,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from conftest import command_lines
 from softrig_bringup.new.native import new_native
 from softrig_control.c_member.nodes import CController, CParams
 from softrig_control.c_member.ports import described
@@ -236,11 +237,10 @@ def test_a_hanging_library_is_abandoned_if_it_is_isolated() -> None:
 )
 def test_a_library_that_exits_ends_alone_and_leaves_nothing_behind(fault: str, message: str) -> None:
     """`exit` in a law would end softrig itself, with the status 0 of a passed run."""
-    before = {p.name for p in Path("/proc").glob("[0-9]*")}
+    before = command_lines()
     with pytest.raises(RunError, match=rf"pi.c at t = 0.2 s: {message}"):
         simulate(rig_with(faulty(fault, isolated=fault == "CLOSES", timeout=0.5)))
-    left = [p for p in Path("/proc").glob("[0-9]*/cmdline") if p.parent.name not in before]
-    assert not [p for p in left if b"shim_pi" in p.read_bytes()]
+    assert not [c for pid, c in command_lines().items() if pid not in before and b"shim_pi" in c]
 
 
 def test_a_library_that_affects_the_whole_process_reports_why_it_runs_separately() -> None:

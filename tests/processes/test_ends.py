@@ -175,7 +175,7 @@ def test_a_run_without_room_in_shared_memory_uses_udp_and_reports_it(how, tmp_pa
         pytest.skip("mounts are not permitted here")
     assert done.returncode == 0, done.stderr
     assert "/dev/shm " in done.stderr
-    assert "go by UDP" in done.stderr
+    assert "messages use UDP" in done.stderr
     assert len(Signals(read_bag(tmp_path / "run/bag"))["motor/state/shaft/position"].x) == 1001
 
 
