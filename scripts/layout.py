@@ -14,10 +14,10 @@ from configparser import ConfigParser
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-Tree = dict[str, Path | str]  # by place below the prefix: the file to link or copy, or what it says
+Tree = dict[str, Path | str]  # by path below the prefix: the file to link or copy, or the text of a new file
 
 OURS = ("ros_pkgs/*/setup.cfg",)
-WORKSPACE = ("setup.cfg", "*/setup.cfg", "src/*/setup.cfg")  # where a workspace may have packages
+WORKSPACE = ("setup.cfg", "*/setup.cfg", "src/*/setup.cfg")  # places of packages in a workspace
 SHELL = """# Source me from any POSIX shell. Made by scripts/layout.py.
 export AMENT_PREFIX_PATH={prefix}"${{AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}}"
 export PYTHONPATH={library}"${{PYTHONPATH:+:$PYTHONPATH}}"

@@ -11,7 +11,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-# the Python of the prefix, wherever that is
+# Starts the Python of the prefix, wherever the prefix is.
 START = """#!/bin/sh
 '''exec' "$(dirname "$0")/../../bin/python" "$0" "$@"
 ' '''
@@ -29,7 +29,7 @@ class Files(BuildHookInterface):  # type: ignore[type-arg]
         assert spec.loader is not None
         layout = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(layout)
-        self._made = tempfile.TemporaryDirectory()  # until the wheel is made
+        self._made = tempfile.TemporaryDirectory()  # lasts until the wheel is built
         for name, folder, config in layout.packages(root):
             build_data["force_include"][str(folder / name)] = name
             for place, file in layout.share(folder, config).items():

@@ -32,7 +32,7 @@ class Hand(Middleware):
 
     def __init__(self, name="node", time=0):
         self.name, self.full_name, self.time = name, f"/{name}", time
-        self.said, self.heard, self.matched = {}, {}, {}  # by topic
+        self.said, self.heard, self.matched = {}, {}, {}  # each by topic
         self.timers, self.posted, self.logs = [], [], []
         # the graph: publishers and subscribers by topic, types by topic, subscriptions by node
         self.writers, self.readers, self.types, self.reads = {}, {}, {}, {}

@@ -37,7 +37,8 @@ class Pi(Node):
         if abs(u) <= LIMIT or u * error < 0.0:
             self.integral += PERIOD * error
         message = JointState()
-        message.header.stamp = self.get_clock().now().to_msg()  # its own time, not that of what it answers
+        # Stamped with its own clock, not with the stamp of its input.
+        message.header.stamp = self.get_clock().now().to_msg()
         message.name = ["armature"]
         message.effort = [min(max(u, -LIMIT), LIMIT)]
         if self.kind == "wrong" and self.n > 5:

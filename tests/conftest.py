@@ -15,15 +15,16 @@ import pytest
 
 pytest_plugins = ["forked"]
 
-# a loaded machine is slow, which says nothing about the code
+# A loaded machine is slow, which is no error of the code.
 hypothesis.settings.register_profile(
     "any_speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )
 hypothesis.settings.load_profile("any_speed")
-os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # rclpy then refuses what it would send as garbage
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background of a script: nodes would inherit it
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # rclpy then refuses an invalid field instead of publishing garbage
+# A script that starts pytest in the background ignores SIGINT, and nodes would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-PATIENCE = 300.0  # s: what has not come by then has failed; nine nodes took 70 s to start on a loaded machine
+PATIENCE = 300.0  # s before a test fails; on a loaded machine nine nodes took 70 s to start
 PACKAGE = Path(__file__).parent / "rig_package"
 os.environ["AMENT_PREFIX_PATH"] = f"{PACKAGE}{os.pathsep}{os.environ.get('AMENT_PREFIX_PATH', '')}"
 os.environ["PYTHONPATH"] = f"{PACKAGE / 'python'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
@@ -34,7 +35,7 @@ sys.path.insert(0, str(PACKAGE / "python"))
 
 from softrig_core.bits import pin  # noqa: E402
 
-# as the command line does: what tests expect are its figures, and threads of OpenBLAS only wait for one another here
+# As on the command line, whose figures the tests expect. More threads of OpenBLAS would only wait for each other.
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 pin()
 
@@ -64,7 +65,7 @@ def pytest_terminal_summary(terminalreporter, config):
         for report in terminalreporter.stats.get(outcome, []):
             row = rows.setdefault("/".join(report.nodeid.split("/")[:2]), {"passed": 0, "other": 0, "seconds": 0.0})
             row["passed" if outcome == "passed" else "other"] += 1
-            row["seconds"] += getattr(report, "duration", 0.0)  # a file that is skipped whole has none
+            row["seconds"] += getattr(report, "duration", 0.0)  # the entry of a skipped file has no duration
     terminalreporter.write_line("| folder | passed | failed or skipped | minutes of a worker |\n|---|---|---|---|")
     for folder, row in sorted(rows.items()):
         terminalreporter.write_line(f"| `{folder}` | {row['passed']} | {row['other']} | {row['seconds'] / 60:.1f} |")
@@ -88,7 +89,7 @@ def make_scenario(nodes, duration=1.0, **keys):
         name: {"package": "faultrig", **({"executable": entry} if isinstance(entry, str) else entry)}
         for name, entry in nodes.items()
     }
-    keys.setdefault("timeout", PATIENCE / 5)  # a node that is late on a loaded machine is not lost
+    keys.setdefault("timeout", PATIENCE / 5)  # a late node on a loaded machine must not end the run
     return Scenario(name="test", title="test", system="lag", source="", duration=duration, nodes=entries, **keys)
 
 
@@ -110,7 +111,7 @@ def lag_rig():
     return rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}))
 
 
-# induction_dtc at 250 Hz against the wall clock: two cores keep up, also beside a browser; nothing of it is judged.
+# induction_dtc at 250 Hz in real time: two cores keep up, also beside a browser. Its figures are not judged.
 SLOW_DRIVE = """nodes:
   im_plant: {parameters: {period: 0.004, substeps: 80, U_dc: 20.0}}
   dtc_controller: {parameters: {period: 0.004}}
@@ -123,7 +124,7 @@ expect: {}
 claims: {}
 """
 
-# A person who presses the plant's button by its service.
+# A process that presses the button of the plant by its service.
 PRESS = """
 import rclpy
 from rclpy.node import Node

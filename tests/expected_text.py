@@ -17,7 +17,7 @@ from matplotlib.ticker import FixedLocator
 from softrig_bringup.plots.axes import fold_exponents
 from softrig_bringup.plots.printed import printed
 
-FEW = 6  # up to this number, lines without a name are listed one by one
+FEW = 6  # up to this many lines that differ are listed one by one
 FOLDER = Path(__file__).parent / "expected"
 
 

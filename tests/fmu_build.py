@@ -12,7 +12,7 @@ from softrig_drives.dc_motor.model import MotorConstants
 
 SOURCES = Path(__file__).parent / "fmu_sources"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-# name, causality, unit, start, and the type where it is no real number; in the order of the enumeration in the source
+# Name, causality, unit, start, and the type unless it is Real; in the order of the enumeration in the source.
 MOTOR = (
     [("theta", "output", "rad"), ("w", "output", "rad/s"), ("i", "output", "A"), ("voltage", "input", "V", 0.0)]
     + [

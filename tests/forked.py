@@ -19,10 +19,11 @@ from multiprocessing.connection import Pipe, wait
 
 import pytest
 
-gc.disable()  # until all is collected: it takes a quarter of that time, and nothing is garbage yet
-YOUNG = 20_000  # objects before Python looks for cycles, ten times its usual: parsing sources takes a third of the time
+gc.disable()  # off until all tests are collected: it would take a quarter of that time and find nothing
+# Objects before Python looks for cycles, ten times the default, which takes a third of the time of parsing sources.
+YOUNG = 20_000
 AHEAD = pytest.StashKey[int]()
-LATE = 20.0  # s that an interrupted worker has to tear its fixtures down
+LATE = 20.0  # s for an interrupted worker to tear down its fixtures
 
 
 def pytest_addoption(parser):
@@ -47,7 +48,7 @@ def _ahead(files):
     if os.path.isdir(os.path.dirname(importlib.util.cache_from_source(files[-1]))):
         return 0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # as for workers
+        warnings.simplefilter("ignore", DeprecationWarning)  # the reason is that of the fork of a worker
         if child := os.fork():
             return child
     nowhere = os.open(os.devnull, os.O_RDWR)
@@ -55,7 +56,7 @@ def _ahead(files):
         os.dup2(nowhere, stream)
     for file in reversed(files):
         sys.path.insert(0, str(file.parent))
-        with suppress(BaseException):  # collection reports it
+        with suppress(BaseException):  # pytest's collection reports the error again
             importlib.import_module(file.stem)
     os._exit(0)
 
@@ -75,7 +76,7 @@ def pytest_runtestloop(session):
     if not option.n or option.collectonly or option.usepdb or session.testsfailed:
         return None
     gc.collect()
-    gc.freeze()  # no worker's garbage collector visits what is loaded, so that its pages stay shared
+    gc.freeze()  # freezes what is loaded, so that the workers' garbage collectors leave its pages shared
     Workers(session).run(option.n)
     return True
 
@@ -85,18 +86,19 @@ class Worker:
 
     def __init__(self, session, folder, others):
         self.connection, child_end = Pipe()
-        self.todo = []  # indices of tests; the first one is running
+        self.todo = []  # indices of tests, of which the first one is running
         sys.stdout.flush()
-        with warnings.catch_warnings():  # the other threads are those of OpenBLAS and jemalloc, which see to forks
+        with warnings.catch_warnings():  # OpenBLAS and jemalloc have threads, and both handle forks
             warnings.simplefilter("ignore", DeprecationWarning)
             self.pid = os.fork()
         if not self.pid:
             for connection in [self.connection, *others]:
-                # a worker detects the end of its parent only if no other process holds the connection
+                # A worker notices the end of its parent only if no other process holds the connection.
                 connection.close()
             _work(session, child_end, folder)
         child_end.close()
-        self.ended = os.pidfd_open(self.pid)  # its processes may hold its end of the connection open
+        # Processes of a test may hold the worker's end of the connection open after it has died.
+        self.ended = os.pidfd_open(self.pid)
 
     def give(self, todo):
         """Send the indices of the next tests; without any the worker ends."""
@@ -120,7 +122,7 @@ class Workers:
         of_file = groupby(range(len(session.items)), lambda k: session.items[k].nodeid.partition("::")[0])
         self.files = [list(indices) for _, indices in of_file][::-1]  # reversed, because `pop` takes the last
         self.folder, self.numbers = self.config._tmp_path_factory.getbasetemp(), count()
-        self.workers = {}  # by connection
+        self.workers = {}  # workers by their connection
 
     def run(self, number):
         """Run all tests; end as pytest's own loop does."""
@@ -192,13 +194,13 @@ class Sender:
 
     def __init__(self, config, connection):
         self.config, self.connection = config, connection
-        self._tw = config.get_terminal_writer()  # pytest-timeout writes its stacks there
+        self._tw = config.get_terminal_writer()  # pytest-timeout prints its stacks through this writer
         self.begun = False
         self.brief = config.option.durations is None and not config.option.xmlpath
 
     def pytest_runtest_logreport(self, report):
         if self.brief and report.passed and report.when != "call" and not report.sections:
-            return  # the terminal shows nothing of it, and there are 20,000
+            return  # the terminal shows nothing of the 20,000 reports of setup and teardown
         data = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
         self.connection.send(("report", data))
 
@@ -208,7 +210,7 @@ class Sender:
         warning_message.source = None
         try:
             pickle.dumps(warning_message)
-        except Exception:  # whatever a class of warnings does when it is pickled
+        except Exception:  # some classes of warnings cannot be pickled
             warning_message.message, warning_message.category = Warning(str(warning_message.message)), Warning
         entries = {"warning_message": warning_message, "when": when, "nodeid": nodeid, "location": location}
         self.connection.send(("warning", entries))
@@ -221,7 +223,7 @@ def _work(session, connection, folder):
     try:
         folder.mkdir(mode=0o700)
         capture = config.pluginmanager.get_plugin("capturemanager")
-        capture.stop_global_capturing()  # its files have one position for all forks
+        capture.stop_global_capturing()  # its files would share their position between all forks
         capture.start_global_capturing()
         capture.suspend_global_capture()
         sender = Sender(config, connection)
@@ -230,7 +232,7 @@ def _work(session, connection, folder):
         sender.begun = True
         numbers = count()
         while todo := connection.recv():
-            # pytest reads the whole folder for each new `tmp_path`, so each file has one of its own
+            # pytest reads the whole base folder for each new `tmp_path`, so each file gets a base folder of its own.
             config._tmp_path_factory._basetemp = folder / str(next(numbers))
             config._tmp_path_factory._basetemp.mkdir(mode=0o700)
             for index, following in zip(todo, [*todo[1:], None], strict=True):
@@ -239,7 +241,7 @@ def _work(session, connection, folder):
                 connection.send(("finished", None))
         status = 0
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's and the parent's are one
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # both the terminal and the parent may send it
         session._setupstate.teardown_exact(None)
     except (EOFError, ConnectionError):  # the parent has ended
         session._setupstate.teardown_exact(None)

@@ -35,7 +35,7 @@ def main(first, second, delay, jitter, loss):
         ends.append(end)
     others = dict(zip(ends, reversed(ends), strict=True))
     draw, number = random.Random(1), count()
-    waiting = []  # (when, number, where, frame): with a jitter, later frames overtake earlier ones
+    waiting = []  # (time, number, interface, frame); with a jitter, later frames overtake earlier ones
     print("ready", flush=True)
     while True:
         remaining = max(0.0, waiting[0][0] - time.monotonic()) if waiting else None

@@ -35,10 +35,10 @@ class Endpoint:
     matched: Callable[[int], None]
     born: int
     peers: int = 0  # number of matched peers, as this end sees it
-    fits: bool = True  # whether its QoS profile matches that of a peer
+    fits: bool = True  # whether its QoS profile is compatible with the peer's
     numbered: Callable[[int], None] | None = None
-    said: int = 0  # messages of a writer
-    known: dict = field(default_factory=dict)  # of a writer: reader -> time from which that accepts what is sent
+    said: int = 0  # count of messages published
+    known: dict = field(default_factory=dict)  # for a publisher: from which time on each reader receives its messages
 
     @property
     def peer(self):
@@ -62,7 +62,7 @@ class World:
     readers: list = field(default_factory=list)
     last: dict = field(default_factory=dict)
     discovery: "Discovery | None" = None
-    prompt: "random.Random | None" = None  # draws what arrives at once, and how long work seems to take
+    prompt: "random.Random | None" = None  # draws which messages arrive at once, and the measured durations of work
 
     def at(self, t, call, node=None):
         heapq.heappush(self.events, (t, next(self.order), call, node))
@@ -74,7 +74,7 @@ class World:
             readers = writer.known.items()
         writer.said += 1
         for reader, accepts in readers:
-            key = (writer, reader)  # one writer's messages never overtake each other
+            key = (writer, reader)  # messages of one publisher keep their order
             when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
             if (
                 self.prompt is not None
@@ -111,7 +111,7 @@ class World:
             t, order, call, node = heapq.heappop(self.events)
             if node is not None and node.dead:
                 continue
-            # a stopped process finds all events in their order when it continues
+            # A stopped process gets all events in order when it continues.
             if node is not None and node.stalled > t:
                 heapq.heappush(self.events, (node.stalled, order, call, node))
                 continue
@@ -217,15 +217,16 @@ class SimulatedNode(Middleware):
         self.process = process
         self.logs = []
         self.dead, self.stalled, self.born = 0, 0, world.now
-        self.lost = False  # whether what it has sent and is under way is lost with it
+        self.lost = False  # whether its messages under way are lost when it dies
         self.monitor = Monitor(self._wake, self._clock)
-        self.ahead = 0  # ns by which its clock differs
+        self.ahead = 0  # ns, offset of its clock
 
     def be_prompt(self, place):
         self.place = place
         self.prompt = self.world.prompt is not None and self.process is None
         if self.prompt:
-            self.monitor._short = self.world.prompt.choice((0, SHORT_ONES))  # some have been at it for long
+            # Some monitors have already measured many calls.
+            self.monitor._short = self.world.prompt.choice((0, SHORT_ONES))
 
     def _wake(self):
         self.world.at(self.world.now, self.monitor.serve, self)
@@ -271,7 +272,7 @@ class SimulatedNode(Middleware):
         self.world.add(Endpoint(self, name, msgtype, receive, reader.matched, now, fits=fits, numbered=reader.numbered))
 
     def post(self, call):
-        self.world.at(self.world.now, call)  # a call of the process, which outlives the node
+        self.world.at(self.world.now, call)  # the call belongs to the process, which outlives the node
 
     def timer(self, ns, callback):
         return SimulatedTimer(self.world, ns, callback, self)
@@ -386,7 +387,7 @@ class SimulatedRig:
                  recorders=None, returns=False, **options):  # fmt: skip
         self.rig, self.world, self.recorders, self.returns = rig, world, recorders, returns
         self.again = (mode, seed, options)
-        self.coming = set()  # nodes that have died and come back
+        self.coming = set()  # nodes that have died and will start again
         self.recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
         self.epoch = slowest.held(world.now + 1_000_000_000) if mode == "realtime" and not departs else 0
@@ -454,7 +455,7 @@ class SimulatedRig:
             self.coming.discard(name)
             self._start([next(m for m in self.rig.members if m.name == name)], *self.again, files)
 
-        self.world.at(self.world.now + rng.randrange(2_000_000_000), start)  # its record was removed in the meantime
+        self.world.at(self.world.now + rng.randrange(2_000_000_000), start)  # meanwhile its record is removed
 
     def _ended(self):
         over = [self.nodes[name].dead or a.state in ("done", "failed") for name, a in self.adapters.items()]

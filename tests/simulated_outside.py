@@ -32,7 +32,7 @@ class SimulatedOutside:
         self.epoch = None if realtime else 0
         name = "_NODE_NAME_UNKNOWN_" if bare else name or f"others_{member.name}"
         self.node = SimulatedNode(world, name, {})
-        self.first = {}  # its first received message, by topic
+        self.first = {}  # first message received from each topic
         self.said = {p.topic: said.topics[p.topic] for p in member.outputs}
         self.next = dict.fromkeys(self.said, 0)
         self.writers, self.needs, self.heard = {}, {}, set()
@@ -78,7 +78,7 @@ class SimulatedOutside:
             and all(received >= n for n, received in self.needs.values())
             and self.heard
         ):
-            for topic, record in self.said.items():  # repeat until a node answers
+            for topic, record in self.said.items():  # published again until a node answers
                 self.next[topic] = 1
                 self.writers[topic](bytes(record.data[0]))
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded, as on the command line
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from softrig_core.guard import guarded

@@ -23,13 +23,13 @@ PAGE = page(
     "memory pages in each process.",
 )
 HEADS = ("what", "unit", "before", "now", "ratio", "target")
-# One scenario of each system, at its full length.
+# One scenario of each system, with its full length.
 SCENARIOS = (
     "dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "manipulator_adsmc",
     "rehab_impedance", "gupfc", "pv_mppt", "rectifier_mpc", "pwa_delay", "fault_location", "optimal_control_mvim",
     "economic_dispatch",
 )  # fmt: skip
-MODES = {"plain": {"SOFTRIG_JIT": "0"}, "default": {}}  # of Python alone, and as it is chosen
+MODES = {"plain": {"SOFTRIG_JIT": "0"}, "default": {}}  # in Python only, and with the default choice
 WHOLE = """
 import sys, time
 from softrig_core import simulate
@@ -125,7 +125,7 @@ def run_rows(places: tuple[Path, Path], names: Sequence[str], mode: str, rounds:
         Scenario, the least CPU time before and now, and their ratio.
     """
     result: Table = []
-    warm = mode == "default"  # its first round compiles
+    warm = mode == "default"  # the first round compiles
     for name in names:
         actual = [[whole(place, name, MODES[mode]) for place in places] for _ in range(rounds + warm)][warm:]
         before, now = (min(costs) for costs in zip(*actual, strict=True))
@@ -158,7 +158,8 @@ def main(arguments: Sequence[str]) -> int:
         parser.error(f"no {kind} begins with {', '.join(options.names)}; there are {'; '.join(known)}")
     other, begun = built(options.commit), Begin.now()
     if options.runs:
-        # A build of the newest commit: numba imports packages of a set-up for tests (coverage), which takes 0.2 s.
+        # Build HEAD instead of using this checkout: in a test environment numba imports further packages (coverage),
+        # which takes 0.2 s.
         result = run_rows((other, built("HEAD")), names, options.runs, options.rounds or 3)
         table = [("scenario", "CPU s before", "CPU s now", "ratio"), *result]
     else:

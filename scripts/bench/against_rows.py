@@ -65,7 +65,7 @@ def used(words: str, checkout: Path, folder: Path) -> Values:
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         output.seek(0)
-        if process.returncode not in (0, 1):  # 1: a figure of a changed run misses
+        if process.returncode not in (0, 1):  # status 1: a figure of a changed run is outside its limit
             raise ScenarioError(f"{' '.join(command)}: status {process.returncode}: {output.read()[-500:]}")
     return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
@@ -96,7 +96,7 @@ def ran(code: str, checkout: Path, folder: Path) -> Values:
     """
     place = Path(tempfile.mkdtemp(dir=folder))
     command = [str(checkout / "scripts/softrig"), "python", "-c", code, str(place)]
-    pinned = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")  # as `softrig` runs
+    pinned = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")  # as set by `softrig`
     done = subprocess.run(command, cwd=folder, env=plain() | pinned, capture_output=True, text=True)
     if done.returncode:
         raise ScenarioError(f"{checkout}: status {done.returncode}: {done.stderr[-500:]}")
@@ -135,7 +135,7 @@ print(json.dumps([spent, int(line.split()[1]) / 1024]))
 """
 READERS = {
     "signals": "from softrig_bags.read import signals\nwork = lambda bag, out: signals(bag)\n",
-    # The function of the earlier build takes bags that are read already.
+    # The function of the earlier build expects bags that are already read.
     "compare": """
 from softrig_bags.compare import compare
 from softrig_bags.read import signals
@@ -145,7 +145,7 @@ def work(bag, out):
     except AttributeError:
         compare(signals(bag), signals(bag))
 """,
-    # Where the function is in the two builds.
+    # The module of this function differs between the two builds.
     "export": "try:\n    from softrig_bags.export import export\nexcept ImportError:\n"
     "    from softrig_bags.read import export\nimport pyarrow.parquet\n"
     "work = lambda bag, out: export(bag, out, 'parquet')\n",
@@ -184,7 +184,7 @@ def works(name, key, values, duration=None):
     draft = read_draft(name)
     return [Work(Case(k, name, "", {key: x}, 1), duration, runs=10_000, scenario=draft) for k, x in enumerate(values)]
 """
-# A worker of a study is a copy of the process that has read it.
+# Workers of a study are forks of the process that has read it.
 STUDY = """
 from multiprocessing import get_context
 def least(cases):
@@ -198,7 +198,7 @@ studies = [works("induction_dtc", "im_plant.U_dc", [500.0 + 0.5 * k for k in ran
 with get_context("fork").Pool(1) as pool:
     print(json.dumps(pool.map(least, studies)))
 """
-# The first pass starts two workers and does what the second one does.
+# The first pass starts two workers; the second one measures.
 WORKERS = """
 import os, signal
 from softrig_optim.sweep import Workers
@@ -230,7 +230,7 @@ def _command(words: str, target: str, **how: int | bool) -> Row:
     return Row(partial(cost, words), (("", CPU, target),), **how)  # type: ignore[arg-type]
 
 
-# `made` is the result of `PREPARED`, OUT a new place. A target is a share of the earlier build if it has no unit.
+# `made` is the result of `PREPARED`, and OUT a new path. A target without a unit is relative to the earlier build.
 PREPARED = f"run {B2} --mode inprocess --out made"
 ROWS = {
     "list": _command("list", "0.5"),

@@ -22,7 +22,7 @@ from .peers import Row, farthest, peer, run, version
 from .timing import least
 
 STATE = ("motor/state/shaft/position", "motor/state/shaft/velocity", "motor/sensors/current_a/position")
-SWITCHED = 0.5  # s of the induction motor, before its load comes
+SWITCHED = 0.5  # s of the induction motor, before the load step
 FMU_RIG = """
 title: The DC motor as an FMU under its sliding-mode controller
 system: dc_motor
@@ -122,7 +122,7 @@ def pv_string(library: str, allowed: float) -> Row | None:
     """Currents of the PV string's modules at voltages of the whole curve, in four irradiances and two temperatures."""
     module = ModuleParams()
     cells = [cell(module, g, temperature) for g in (1000.0, 800.0, 600.0, 400.0) for temperature in (25.0, 60.0)]
-    # Voltages that belong to even currents, because our solver goes along the current.
+    # Voltages for evenly spaced currents, as softrig's solver steps along the current.
     currents = [np.linspace(0.0, 0.95 * one.I_ph, 2500) for one in cells]
     voltages: list[Any] = []
 
@@ -174,8 +174,8 @@ class Peer(NamedTuple):
     allowed: float
 
 
-#: What is compared, and how far apart the end states may be: both solve the same equations, so only the integration
-#: differs. Its order is that of the table.
+# : What is compared, and the largest difference of the end states: both solve the same equations, so only the :
+# integration differs. The table has the same order.
 ROWS = (
     Peer(dc_motor, "python_control", "python-control {}, `forced_response`", "control", 1e-9),
     Peer(dc_motor, "scipy_ivp", "scipy {}, `solve_ivp` at 1e-9", "scipy", 1e-7),
@@ -186,7 +186,7 @@ ROWS = (
     Peer(drive, "im_vhz", "motulator {}", "motulator", 1e-9),
     Peer(drive, "pmsm_foc_synrm_gem", "motulator {}", "motulator", 1e-9),
     Peer(switched, "motulator", "motulator {}", "motulator", 1e-6),
-    # It has Euler's method at 50 us only, which is first order.
+    # It only has Euler's method at 50 us, which is first order.
     Peer(switched, "gym-electric-motor", "gym-electric-motor {}, Euler at 50 us", "gym_electric_motor", 5e-2),
     Peer(rectifier, "motulator_grid", "motulator {}, its grid converter", "motulator", 1e-6),
     Peer(gupfc, "pandapower", "pandapower {}, `run_timeseries`", "pandapower", 1e-8),

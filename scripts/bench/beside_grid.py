@@ -12,8 +12,8 @@ from softrig_power.gupfc.network import BUSES, HALVES, NetworkParams
 from .peers import Row, farthest, peer, run
 from .timing import least
 
-POINTS = 200  # of the time series of power flows
-# References of the first and of the last point: those of the scenario `gupfc` at its begin and at its end.
+POINTS = 200  # number of points in the series of power flows
+# References of the first and the last point, as in the scenario `gupfc`.
 FIRST, LAST = References(), References(p1=1.2, p2=1.2)
 
 
@@ -64,7 +64,7 @@ def gupfc(library: str, allowed: float) -> Row | None:
         "buses": [*BUSES, "S2", "S1"],
         "branches": [(a, b, x.real, x.imag, w.real, w.imag) for a, b, x, w in pairs],
         "sources": {name: (abs(e), np.angle(e, deg=True)) for name, e in zip(("S2", "S1"), p.sources, strict=True)},
-        # Powers of the device at its four buses, a row a point; voltages of the first point, where it starts.
+        # Powers of the device at its four buses, one row for each point; voltages at the first point as the start.
         "injected": [[(s.real, s.imag) for s in _injected(flow, p.z_se)] for flow in flows],
         "held": FIRST.v,
         "start": [(abs(u), np.angle(u, deg=True)) for u in (*flows[0].bus.values(), *p.sources)],

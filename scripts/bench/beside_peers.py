@@ -164,7 +164,7 @@ def pandapower(given: dict[str, Any]) -> tuple[float, Any]:
     for name, (size, angle) in given["sources"].items():
         pp.create_ext_grid(net, at[name], vm_pu=size, va_degree=angle)
     powers = 1e-6 * power * np.array(given["injected"])
-    # The shunt converter holds the voltage of bus 1, as a generator does.
+    # The shunt converter holds the voltage of bus 1 like a generator.
     pp.create_gen(net, at["1"], powers[0, 0, 0], vm_pu=given["held"])
     for k, name in enumerate("234"):
         pp.create_sgen(net, at[name], *powers[0, k + 1])
@@ -177,7 +177,7 @@ def pandapower(given: dict[str, Any]) -> tuple[float, Any]:
         ConstControl(net, element, variable, net[element].index, columns, data)
     sizes, angles = np.array(given["start"]).T
     pp.runpp(net, init_vm_pu=sizes, init_va_degree=angles, calculate_voltage_angles=True, tolerance_mva=1e-9)
-    # With named buses, because its reader of all buses fails if both size and angle are logged (3.5.6).
+    # Buses are named, because its reader of all buses fails if both magnitude and angle are logged (3.5.6).
     logged = [("res_bus", variable, list(at.values())) for variable in ("vm_pu", "va_degree")]
     writer = OutputWriter(net, log_variables=logged)
     start = time.process_time()

@@ -32,7 +32,7 @@ def rates(seconds: float = SECONDS) -> dict[str, float]:
 
     def episode() -> None:
         environment.reset(seed=1)
-        for action in actions[:-1]:  # the law says nothing at the end time
+        for action in actions[:-1]:  # the law does not publish at the end
             environment.step(action)
 
     many = RigVectorEnv(

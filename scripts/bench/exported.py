@@ -20,7 +20,7 @@ from . import native
 from .console import console
 from .timing import least
 
-ROUNDS = 50  # of some ms each: on a machine with other work the least of a few is none
+ROUNDS = 50  # many rounds of some ms, because on a busy machine the least of a few is too large
 TICKS = 100_000
 STEPS = 20_000
 RIG = """
@@ -92,7 +92,7 @@ void by_hand(long ticks)
     }
 }
 """
-# in a process of its own: PythonFMU's library can be loaded into a Python process once only
+# A separate process, because a Python process can load PythonFMU's library only once.
 STEP = """
 import ctypes, json, sys, time, fmpy
 from fmpy.fmi2 import FMU2Slave

@@ -69,7 +69,7 @@ def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
     from gym_electric_motor.physical_systems.mechanical_loads import PolynomialStaticLoad
     from gym_electric_motor.physical_systems.solvers import EulerSolver
 
-    # Rotor and load together have the inertia; neither may be zero.
+    # Rotor and load share the inertia; neither may be zero.
     machine = {"p": 2, "l_m": 0.224, "l_sigs": 0.021, "l_sigr": 0.0, "j_rotor": 0.005, "r_s": 3.7, "r_r": 2.1}
     environment = gem.make(
         "Finite-SC-SCIM-v0",
@@ -81,7 +81,7 @@ def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
         supply={"u_nominal": 540.0},
     )
     environment.reset()
-    # An action has a bit for each leg, phase a first; the motor begins at rest, as ours.
+    # An action has one bit for each leg, phase a first. The motor starts at rest, as in softrig.
     actions = [4 * a + 2 * b + c for a, b, c in (LEGS[vector] for vector in vectors)]
     start = time.process_time()
     for action in actions[:-1]:

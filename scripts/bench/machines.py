@@ -12,7 +12,7 @@ from softrig_core import Recording, Signals, load_scenario, rig_of, run_inproces
 from .peers import MANY, asked
 from .timing import cpu
 
-# all shipped sets of constants; a saturated machine is interpolated by other formulas there
+# All shipped sets of constants except saturated machines, for which motulator interpolates by other formulas.
 MACHINES = {
     "pmsm_foc": "pmsm_plant",
     "im_foc": "induction_plant",
@@ -27,7 +27,7 @@ CONSTANTS = {
     "induction_plant": ("R_s", "R_R", "L_sigma", "L_M", "pole_pairs"),
 }
 ROUNDS = 3
-TIGHT = 1e-11  # relative tolerance of motulator's solver where trajectories are compared
+TIGHT = 1e-11  # relative tolerance of motulator's solver in comparisons of trajectories
 
 
 class Beside(NamedTuple):

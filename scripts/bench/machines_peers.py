@@ -54,7 +54,7 @@ def simulated(given: dict[str, Any]) -> dict[str, Any]:
     from motulator.drive import model
 
     control = Replay(given["duties"], given["load"], given["period"])
-    # a load that steps with a period: as a function of time it would step within one by rounding
+    # The load is set at each period; as a function of time, rounding would move a step into a period.
     mechanics = model.StiffMechanicalSystem(J=given["J"], B_L=given["B"], tau_L=lambda t: control.torque + 0.0 * t)
     drive = model.Drive(model.VoltageSourceConverter(u_dc=given["U_dc"]), machine(given), mechanics)
     drive.delay = lambda duty: duty

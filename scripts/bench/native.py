@@ -31,7 +31,7 @@ RIGS = (
     "gupfc",
     "pv_mppt",
 )
-# hand-written C: seconds simulated, and topics of its tables: of each tick, and of each 20th
+# Scenarios with hand-written C: simulated seconds, and topics of its tables, for each tick and for each 20th tick.
 LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {
     "dc_motor_smc": (60.0, [("motor/state", "motor/sensors", "motor/command")]),
     "induction_dtc": (
@@ -85,7 +85,7 @@ def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
         for _ in Engine(list(steps.values())).run():
             pass
         for one in steps.values():
-            # A cycle through the link would hold the memory of the recording.
+            # Otherwise the cycle through the link would keep the memory of the recording.
             one.link = None
         if not steps[members[0].name].native[0]:
             raise ScenarioError(f"not native: {steps[members[0].name].native[1]}")

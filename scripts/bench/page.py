@@ -16,8 +16,8 @@ from .console import console
 ROOT = Path(__file__).resolve().parents[2]
 LAB = "ros_pkgs/softrig_{}/doc/lab/{}.md"
 
-Table = list[tuple[str, ...]]  # heads, then rows
-Tables = dict[str, Table]  # by the mark of each on its page
+Table = list[tuple[str, ...]]  # head, then rows
+Tables = dict[str, Table]  # tables by their mark on the page
 
 
 class Page(NamedTuple):

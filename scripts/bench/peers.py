@@ -14,8 +14,9 @@ from softrig_core import Recording, Rig, Signals, run_inprocess
 
 from .timing import least
 
-MANY = 10_000  # runs, for which native code is worth its making
-_OURS = ("PYTHONPATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")  # not for another Python
+MANY = 10_000  # enough runs for compiling to pay off
+# These belong to this Python and not to a peer's.
+_OURS = ("PYTHONPATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 
 
 class Row(NamedTuple):

@@ -10,14 +10,14 @@ from pathlib import Path
 from .page import Table, Tables
 
 ROOT = Path(__file__).resolve().parents[2] / "ros_pkgs"
-# The rooms that a tick runs through, of this version and of those before the packages were parted.
+# Rooms with the code of a tick, in this version and in those before the packages were split.
 ROOMS = (
     *(f"softrig_core/softrig_core/{room}" for room in ("block", "native", "run", "rig/rig.py", "solver", "node")),
     *(f"softrig_nodes/softrig_nodes/{room}" for room in ("adapter", "lockstep", "realtime", "seam", "group.py")),
 )
-# A function states a part if its code computes it or reads what declares it: these patterns are looked for in its code.
-# A call of the function that owns the part does not count (`plan.due(...)`, `step.note(...)`, `fill.bring(...)`), else
-# the count would grow with every function that was taken apart. Names of both versions stand where they differ.
+# A function states a part if its code computes it or reads what declares it, as detected by these patterns. A call of
+# the function that owns the part does not count (`plan.due(...)`, `step.note(...)`, `fill.bring(...)`); otherwise the
+# count would grow whenever a function is split. Names of both versions are listed where they differ.
 KINDS = {
     "order: plants publish, others answer, plants move": r"\bplants\b|for \w+ in \w+ if (not )?\w+\.(is_)?plant\b",
     "greatest common divisor of the periods": r"\bgcd\(",

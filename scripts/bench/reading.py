@@ -17,7 +17,7 @@ from softrig_core.wire.cdr import Layout
 from .page import Table, Tables
 
 MESSAGES = 5_000_000
-SAMPLE = 100_000  # messages that the readers of others read: theirs takes the same time for each
+SAMPLE = 100_000  # messages for the other readers, whose time is proportional to the number
 TOPICS, JOINTS, BLOCK = 4, 6, 4096
 STATE = "sensor_msgs/msg/JointState"
 START = 1_764_000_000_000_000_000
@@ -109,7 +109,7 @@ def costs(folder: Path, compression: str, count: int = MESSAGES, sample: int = S
     one, two = (
         measure(THEIRS["rosbags, deserialised"] + holding, bag, folder / "out", n) for n in (sample // 2, sample)
     )
-    if one is not None and two is not None:  # what is beside the messages is in both
+    if one is not None and two is not None:  # the difference of both excludes the memory of everything else
         result["all messages held, rosbags"] = Cost(two.seconds, (two.memory - one.memory) * count / (sample / 2))
     return result
 
@@ -127,7 +127,7 @@ def reading() -> Tables:
             if cost is None:
                 rows.append((name, "not installed", *[""] * (1 + len(beside))))
                 continue
-            read = cost.seconds / (2 if "two" in name else 1)  # of each bag
+            read = cost.seconds / (2 if "two" in name else 1)  # s for each bag
             ratios = [f"{other.seconds / read:.1f}" for peer in beside if (other := result[peer]) is not None]
             own = ratios if name in OURS else [""] * len(beside)
             rows.append((name, f"{cost.seconds:.2f}", f"{cost.memory:,.0f}", *own))

@@ -27,10 +27,11 @@ from .console import console
 from .page import ROOT, Begin, page, write as write_tables
 
 RATES = (2_000, 5_000, 10_000, 20_000)  # Hz, of plant, law and monitor
-# How ticks run and publish, and the value of VARIABLE: natively; in Python, while a native thread publishes; in Python,
-# in bursts.
+# How ticks run and publish, with the value of VARIABLE: natively; in Python with a native publishing thread; in
+# Python, publishing in bursts.
 WAYS = {"native": "", "thread": "ticking", "bursts": "carrier"}
-READERS = ("", "torque_ref", "joint_states")  # topics read by another process; the last one at the rate of the plant
+# Topics that another process reads; the last one is published at the rate of the plant.
+READERS = ("", "torque_ref", "joint_states")
 DURATION = 10.0  # s
 LONG = 60.0  # s, at the highest rate with each reader
 PAGE = page("nodes", "placements_measured", "Wall clock; recorded. The load is also that of the bench itself.")
@@ -70,7 +71,7 @@ SHORT = (
     Row(20_000, "joint_states", way="thread"),
     Row(20_000, "joint_states", way="bursts"),
 )
-# At the highest rate the ways take turns.
+# At the highest rate, all ways are measured in turn.
 ALL = tuple(
     Row(rate, topic, duration, way)
     for rate, duration in [*((rate, DURATION) for rate in RATES), (RATES[-1], LONG)]
@@ -89,7 +90,7 @@ def realtime(rows: Sequence[Row] = SHORT, write: bool = False) -> None:
         table.add_row(*cells)
         lines.append((*cells, *[""] * (len(columns) - len(cells))))
 
-    with Live(table, console=console):  # shows what is done, whatever becomes of the rest
+    with Live(table, console=console):  # shows each row when it is measured, even if a later one fails
         for row in rows:
             try:
                 results = _figures(drive(*row))

@@ -137,7 +137,8 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
     values = (0.5,) * layout.size
     while not publisher.get_subscription_count():
         session.spin(0.02)
-    publisher.publish(layout.encode(1000 * SECOND, values))  # the first message sets up both sides
+    # Unmeasured, since the first message initialises both sides.
+    publisher.publish(layout.encode(1000 * SECOND, values))
     publisher.wait_for_all_acked(Duration(seconds=5))
     stages = []
     for stage, rate in enumerate(rates):

@@ -12,7 +12,7 @@ from .gupfc import steady
 from .timing import cpu
 
 ROUNDS = 3
-LONG = 2.0  # s of CPU from which a work is not repeated
+LONG = 2.0  # s of CPU time, above which a measurement is not repeated
 
 
 class Work(NamedTuple):
@@ -44,7 +44,7 @@ def print_table() -> None:
     base = min(cpu(yardstick) for _ in range(5))
     table = Table("system", "work", "CPU ms", "x real time", "of yardstick", box=None, pad_edge=False)
     for work in works():
-        work.call()  # compiled now
+        work.call()  # the first call compiles
         spent = cpu(work.call)
         if spent < LONG:
             spent = min(spent, *(cpu(work.call) for _ in range(ROUNDS - 1)))
@@ -90,7 +90,7 @@ def _rectifier() -> Iterator[Work]:
     from softrig_power.rectifier.plant import RectifierPlant
 
     period, steps = 830_000, 1500  # ns
-    measured = [(400.0 + 8.0 * math.sin(0.3 * k), 25.0) for k in range(steps)]  # keeps the bounds busy
+    measured = [(400.0 + 8.0 * math.sin(0.3 * k), 25.0) for k in range(steps)]  # keeps the constraints active
 
     def control(law: ByHand) -> None:
         for k, y in enumerate(measured):

@@ -19,9 +19,9 @@ from .console import console
 
 ROUNDS = 3
 Mode = Literal["lockstep", "realtime"]
-LENGTH: dict[Mode, float] = {"lockstep": 6.0, "realtime": 10.0}  # s, of the induction drive
-PERIOD = 0.0002  # s, of plant, law and monitor in real time
-# a browser that shows each state at once
+LENGTH: dict[Mode, float] = {"lockstep": 6.0, "realtime": 10.0}  # s of the induction drive
+PERIOD = 0.0002  # s, for plant, law and monitor in real time
+# A browser that shows each state immediately.
 READER = """
 import re, sys
 from bokeh.client import pull_session

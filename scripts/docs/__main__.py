@@ -57,7 +57,7 @@ def build(out: Path, sources_only: bool = False) -> int:
     if sources_only:
         print(source)
         return 0
-    need("myst_nb", "the site")  # and Sphinx with it
+    need("myst_nb", "the site")  # requires Sphinx as well
     from sphinx.cmd.build import main as sphinx
 
     from .notebooks import execute

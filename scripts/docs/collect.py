@@ -20,7 +20,7 @@ _INDENTED = re.compile(r"(?<=\n\n)(?:    .*\n|\n+(?=    ))+")
 _COMMAND = re.compile(r"    ([\w./]*softrig|scripts/|ros2|eval|export|echo|colcon|docker|pip|cd|git|ROS_|SOFTRIG_)\b")
 _YAML = re.compile(r"    [\w/]+:( .*)?$", re.M)
 _COMMENTED = re.compile(r"^(\S.*?) {2,}(# .*)$")
-WIDTH = 88  # letters of code that a page shows beside its sidebars
+WIDTH = 88  # width of code in letters that a page shows beside its sidebars
 _HEADING = re.compile(r"^```.*?^```$|^(#+) ", re.S | re.M)
 
 
@@ -31,7 +31,7 @@ def collect(site: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         text = page.read_text(encoding="utf-8")
         made = notebook(text, page, place, site) if page.suffix == ".ipynb" else moved(text, page, place, site)
-        if words := KEYWORDS.get(page.stem):  # the search knows them
+        if words := KEYWORDS.get(page.stem):  # the search finds a page by these words
             made = f"---\nmyst:\n  html_meta:\n    keywords: {words}\n---\n\n{made}"
         target.write_text(made, encoding="utf-8")
 
@@ -102,7 +102,7 @@ def moved(text: str, page: Path, place: str, site: Path) -> str:
         return f"{match[1]}{target}{hash_}{anchor}{match[3]}"
 
     parts = _FENCE.split(_COMMENT.sub("", text))
-    for k in range(0, len(parts), 2):  # what stands in fences stays
+    for k in range(0, len(parts), 2):  # text in code fences is not changed
         text = _FORMULA.sub(r"{math}`\1`", _LINK.sub(link, parts[k]))
         text = _SUMMARY.sub(_unfolding, text).replace("</details>", ":::")
         parts[k] = _INDENTED.sub(_fenced, text)

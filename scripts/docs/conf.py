@@ -17,13 +17,13 @@ copyright = "the authors of softrig, Apache-2.0"
 extensions = ["myst_nb", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["colon_fence", "attrs_block", "attrs_inline"]
 myst_heading_anchors = 5
-nb_execution_mode = "off"  # they have been run
+nb_execution_mode = "off"  # the notebooks have been executed before
 nb_merge_streams = True
 html_math_renderer = "mathml"
 myst_fence_as_directive = {"math"}
 exclude_patterns = ["pictures"]
 highlight_language = "text"
-smartquotes = False  # -- is no dash in a command
+smartquotes = False  # -- in a command must not become a dash
 html_theme = "furo"
 html_title = "softrig"
 html_static_path = [str(Path(__file__).parent / "static")]
@@ -44,7 +44,7 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 python_use_unqualified_type_names = True
 toc_object_entries_show_parents = "hide"
-# short names of types, which several packages may have, are shown without a link
+# Short names of types can belong to several packages, so they have no link.
 suppress_warnings = ["ref.python"]
 
 
@@ -60,7 +60,7 @@ def mathml(formula: str, as_block: bool) -> str:
     below.
     """
     made = tex2mathml(formula, as_block=as_block).replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
-    # names of characters that are HTML's, not XML's
+    # HTML has names of characters that XML lacks.
     made = re.sub(r"&(?!(?:lt|gt|amp|quot|apos|#\w+);)\w+;", lambda match: unescape(match[0]), made)
     root = ElementTree.fromstring(made)
     for node in root.iter("munderover"):

@@ -13,7 +13,7 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError
 from softrig_core import ScenarioError
 
-PATIENCE = 600  # s a cell, or the start of a kernel, may take on a busy machine
+PATIENCE = 600  # s for a cell, or for the start of a kernel, on a busy machine
 
 
 class _Local(AsyncKernelManager):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# how-to guides by the reader's purpose
+# How-to guides by the purpose of the reader.
 GUIDES = {
     "Set up and keep up to date": ("set_up", "wheel", "workspace", "upgrade", "distribution"),
     "Run, watch and compare": ("view", "studies", "linear_view", "reports", "ends", "two_machines"),
@@ -20,7 +20,7 @@ GUIDES = {
     "Share, teach and keep correct": ("send", "strangers", "classroom", "continuous_integration"),
 }
 
-# folder of the site: title, content, pages in order (by file name, in any package)
+# Folder of the site: title, content, and pages in order (by file name, in any package).
 KINDS = {
     "tutorials": (
         "Tutorials",
@@ -56,7 +56,7 @@ KINDS = {
 }  # fmt: skip
 
 
-# search words that are not on the page
+# Words for the search that the page does not have.
 KEYWORDS = {
     "send": "colleague, share, zip, archive, exchange, reproduce, repeat",
     "strangers": "security, trust, sandbox, signature, untrusted, confirm",
@@ -118,7 +118,7 @@ SYSTEMS = {
     "pwa_delay": System("theory", ("stability proof", "state feedback"), "pwa_delay_hayes"),
 }
 
-# machines and converters of the field with the laws of the field: no paper, so no claims
+# Machines and converters with textbook controllers: they reproduce no paper, so they have no claims.
 MACHINES = {
     "pmsm_foc": System("machines", ("field orientation",), "pmsm_foc_servo"),
     "im_foc": System("machines", ("field orientation",), "im_foc_4kw"),

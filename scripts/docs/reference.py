@@ -108,7 +108,7 @@ def _verb(name: str, parser: argparse.ArgumentParser, text: str, mark: str) -> l
     for group in nested:
         about = {a.dest: a.help or "" for a in group._choices_actions}
         for child, sub in group.choices.items():
-            if f"{name} {child}" not in cli.FOREIGN:  # whose parser is another: it follows
+            if f"{name} {child}" not in cli.FOREIGN:  # this verb has its own parser, which follows below
                 parts += _verb(f"{name} {child}", sub, about.get(child, sub.description or ""), f"{mark}#")
     return parts
 
@@ -133,7 +133,7 @@ def all_nodes() -> dict[str, str]:
             try:
                 load_block(package, executable)
             except ScenarioError:
-                continue  # a tool, no node
+                continue  # the executable is a tool, not a node
             shown.append(executable)
         if shown:
             parts += [f"## {package}", ""]
@@ -216,7 +216,7 @@ def front_door() -> dict[str, str]:
     modules = {
         f"softrig_core.{home}": sorted(homes[home].split(), key=lambda name: name != "simulate")
         for home in sorted(homes, key=lambda home: (home != "run.simulate", home))
-        if home != "former"  # names that are deprecated
+        if home != "former"  # deprecated names
     }
     head = "What a user needs is named by the package itself: `from softrig_core import simulate`."
     return _modules("softrig_core", head, modules, named_by="softrig_core")
@@ -234,7 +234,7 @@ def api(package: str) -> dict[str, str]:
         try:
             module = importlib.import_module(dotted)
         except ImportError:
-            continue  # needs launch, or an extra
+            continue  # the module needs launch or an optional package
         there = ((n, v) for n, v in vars(module).items() if inspect.isclass(v) or inspect.isfunction(v))
         if own := [n for n, v in there if n[0] != "_" and v.__module__ == dotted and inspect.getdoc(v)]:
             modules[dotted] = own

@@ -2,4 +2,4 @@
 
 from softrig_core.bits import pin
 
-pin()  # the same kernels on every CPU, before a part loads numpy
+pin()  # before a part loads numpy, so that all CPUs use the same kernels

@@ -19,12 +19,12 @@ from softrig_core.firmware.files import export_firmware
 from softrig_core.native.value import NotNative
 
 SAME = "same bits"
-ROWS = 500  # calls of the run, and as many with drawn inputs
+ROWS = 500  # calls recorded in the run, and as many with random inputs
 FOLDED = "<details>\n<summary>{count} classes, {c} as C, {st} as structured text</summary>\n\n{table}\n</details>\n"
-TICKS = 300  # of a whole rig
+TICKS = 300  # ticks of a whole rig
 GROUPED = "<details>\n<summary>{same} of {count} scenarios have the same bits</summary>\n\n{table}\n</details>\n"
 
-BOARD_ROWS = 200  # as above, on a board
+BOARD_ROWS = 200  # calls on a board
 BOARDS: tuple[Literal["arduino"], Literal["cortex-m4"]] = ("arduino", "cortex-m4")
 MOST = 90  # letters of a reason
 ON_BOARDS = "<details>\n<summary>All {count} classes</summary>\n\n{table}\n</details>\n"
@@ -79,7 +79,7 @@ def _on_board(node: str, rig: Rig, board: Literal["arduino", "cortex-m4"]) -> st
             missing = re.search(r"undefined reference to `(\w+)'", str(reason))
             text = f"its C library lacks `{missing[1]}`" if missing else str(reason).partition(f"{name} ")[2]
             return f"{text[:MOST].rstrip()} |  |  | "
-        except RunError as reason:  # such as a stack that grows into the state: only the simulated board shows it
+        except RunError as reason:  # such as a stack that overwrites the state, which only the simulated board shows
             return f"{str(reason).rpartition(': ')[2][:MOST].rstrip()} |  |  | "
     differ = f" ({result.differing} of {result.rows} differ)" if result.differing else ""
     return f"{result.longest}{differ} | {result.flash} | {result.ram} | {result.stack}"

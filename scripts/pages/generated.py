@@ -59,7 +59,7 @@ from .rooms import rooms
 
 _KINDS = "names|exported|format|licences|rooms|code|nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
-LONG = 6  # rows of measurements; more are folded
+LONG = 6  # rows of measurements; longer tables are folded
 ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
 _VERDICTS = re.compile(r"(<!-- verdicts: ([^>]*?) -->)[^\n]*?(<!-- end -->)")
 

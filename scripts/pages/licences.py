@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 LOCKS = Path(__file__).resolve().parents[1] / "locks"
-# licences by words that only their text has; the first match counts
+# Licences by a pattern that only their text has; the first match counts.
 TEXTS = (
     ("EPL-2.0", r"Eclipse Public License.{0,12}2\.0"),
     ("EPL-1.0", "Eclipse Public License"),
@@ -29,7 +29,7 @@ TEXTS = (
 )
 
 
-USUAL = {  # as metadata without an SPDX expression say it
+USUAL = {  # words in metadata without an SPDX expression
     "OSI Approved": "",
     "BSD License": "BSD",
     "MIT License": "MIT",

@@ -14,7 +14,7 @@ from softrig_core.rig.installed import load_block
 
 PACKAGES = ("control", "drives", "power", "robots", "systems", "optim", "core", "bags")
 
-# the field's term; a test checks that every executable is here
+# The usual term of each node; a test checks that every executable is listed.
 NODES: Mapping[str, str] = {
     "control/c_controller": "C function, S-function in C, MEX",
     "control/c_plant": "C function, S-function in C, MEX",
@@ -142,7 +142,7 @@ VERBS: Mapping[str, str] = {
     "bench": "benchmark",
 }
 
-# the field's term, softrig's name, and the reason for it
+# The usual term, softrig's name, and the reason for it.
 PARAMETERS: tuple[tuple[str, str, str], ...] = (
     ("T_s, sampling time, 1/f_s", "period", "of every node, in s; also as a fraction `1/16000`"),
     (
@@ -231,7 +231,7 @@ def blocks() -> dict[str, type[Block]]:
         for executable in executables(f"softrig_{package}"):
             try:
                 result[f"{package}/{executable}"] = load_block(f"softrig_{package}", executable)
-            except ScenarioError:  # a tool, no node
+            except ScenarioError:  # the executable is a tool, not a node
                 continue
     return result
 
@@ -283,7 +283,7 @@ def ports() -> tuple[Port, ...]:
     for block in blocks().values():
         try:
             inputs, outputs = block.ports(block.Params())
-        except ValueError:  # it needs a file before it has ports
+        except ValueError:  # the node has no ports without its file
             continue
         results += [*inputs, *outputs]
     return tuple(results)

@@ -37,7 +37,7 @@ from softrig_core.judge.expectation import Expected
 from softrig_core.scenario.scenario_file import find
 
 FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ..., bench ..., study ... or version ..."
-DIGITS = 3  # a number of fewer may stand without its source
+DIGITS = 3  # numbers with fewer digits need no source
 _GENERATED = re.compile(r"<!-- (\w+): [^>]*? -->.*?<!-- end -->", re.DOTALL)
 _COMMENT = re.compile(r"<!-- numbers\n(.*?)-->", re.DOTALL)
 _CODE = re.compile(
@@ -51,7 +51,7 @@ _FIGURE = re.compile(_FACTOR + r"(\w+)\.(\w+)")
 _TEST = re.compile(_FACTOR + r"(test_\w+\.py)::(\w+)")
 
 
-Runs = Callable[[str], dict[str, float]]  # figures of a scenario by its name
+Runs = Callable[[str], dict[str, float]]  # returns the figures of a scenario by its name
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _in(text: str) -> Iterator[str]:
 
 
 def _sections(page: str) -> Iterator[tuple[str, str]]:
-    heads = re.finditer(r"^```.*?^```|^#+ ", page, re.DOTALL | re.MULTILINE)  # a comment in code is no heading
+    heads = re.finditer(r"^```.*?^```|^#+ ", page, re.DOTALL | re.MULTILINE)  # a comment in code is not a heading
     starts = [m.start() for m in heads if m[0][0] == "#"] or [0]
     for start, end in zip(starts, [*starts[1:], len(page)], strict=True):
         yield page[start:end].partition("\n")[0].lstrip("# "), page[start:end]
@@ -139,7 +139,7 @@ def _ties(section: str) -> Iterator[Tie]:
             yield from (Tie(number, source.strip()) for number in numbers.split(", "))
 
 
-@lru_cache(4)  # of the others, which are the same for each page of a set
+@lru_cache(4)  # the pages of a set share the other pages
 def _measured(page: str) -> dict[tuple[str, str], float]:
     """Read the measured tables of pages: (scenario, figure) to value."""
     result: dict[tuple[str, str], float] = {}
@@ -189,7 +189,7 @@ def _unlike(
         return f"no scenario or study {name}"
     expect, figures, is_study = published
     if is_study:
-        run = None  # hundreds of runs: what it expects is held by `softrig study`
+        run = None  # a study has hundreds of runs, so `softrig study` checks its expectation
     if figure not in figures:
         return f"{name} has no figure {figure}"
     if run is not None:
@@ -197,9 +197,10 @@ def _unlike(
         return "" if tie.near(value) else f"a run gives {value:.6g}"
     if what in table:
         value = factor * table[what]
-        return "" if tie.near(value, 5e-5 * abs(value)) else f"the table has {value:.6g}"  # of five digits
+        return "" if tie.near(value, 5e-5 * abs(value)) else f"the table has {value:.6g}"  # the table has five digits
     expected = expect.get(figure)
-    grid = (tie.value + share * tie.half for share in (-1.0, -0.5, 0.0, 0.5, 1.0))  # what it may be rounded from
+    # Values that round to the number on the page.
+    grid = (tie.value + share * tie.half for share in (-1.0, -0.5, 0.0, 0.5, 1.0))
     return "" if expected is None or any(expected.holds(x / factor) for x in grid) else f"{name} expects {expected}"
 
 
@@ -211,7 +212,7 @@ def _published(name: str) -> tuple[Mapping[str, Expected], frozenset[str], bool]
         return expect, frozenset(expect), True
     if find(name) is None:
         return None
-    scenario = rig_of(name, live=False).scenario  # whose expectations have their numbers
+    scenario = rig_of(name, live=False).scenario  # reads expectations with their references resolved
     return scenario.expect, frozenset(scenario.figures), False
 
 

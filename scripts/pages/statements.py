@@ -16,7 +16,7 @@ def imported(file: Path) -> list[tuple[ast.Import | ast.ImportFrom, bool]]:
         node, types = waiting.pop()
         if isinstance(node, ast.Import | ast.ImportFrom):
             results.append((node, types))
-        # Only these lists contain statements. Expressions, which are nearly all of a tree, are not visited.
+        # Only these lists contain statements. Most of a tree are expressions, which are not visited.
         for field in ("body", "orelse", "finalbody", "handlers", "cases"):
             only = types or (field == "body" and getattr(getattr(node, "test", None), "id", "") == "TYPE_CHECKING")
             waiting += [(below, only) for below in getattr(node, field, ())]

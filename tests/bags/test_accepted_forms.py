@@ -170,7 +170,7 @@ def test_a_bag_has_the_values_that_its_port_read(taken, rig, tmp_path, capsys):
     write_bag(tmp_path / "bag", recording)
     raw, named = signals(tmp_path / "bag"), signals(tmp_path / "bag").known_as(other_names(rig))
     check(named.table, values)
-    for topic in values:  # the two decoders of bags and of runs agree, all columns
+    for topic in values:  # the decoder of bags and that of runs agree in all columns
         one, other = Signals(recording).table(topic).columns, raw.table(topic).columns
         assert set(one) == set(other)
         assert all(np.array_equal(one[k], other[k], equal_nan=True) for k in one)

@@ -164,7 +164,8 @@ def test_a_second_channel_of_a_topic_that_appears_late_belongs_to_the_same_topic
     writer.start()
     schema = writer.register_schema(FLOAT, "ros2msg", b"float64 data")
     for k, reliability in enumerate(("reliable", "best_effort")):
-        qos = f"- history: keep_last\n  depth: 3\n  reliability: {reliability}\n"  # a part of a profile
+        # A QoS profile lists only some of its policies.
+        qos = f"- history: keep_last\n  depth: 3\n  reliability: {reliability}\n"
         channel = writer.register_channel("/speed", "cdr", schema, {"offered_qos_profiles": qos})
         for i in range(5):
             writer.add_message(channel, 10 * i + k, number(10 * i + k), 0)

@@ -46,7 +46,7 @@ else:
     from backports import zstd
 
 STATE = "sensor_msgs/msg/JointState"
-LIMIT = 1 << 24  # bytes of a chunk, in place of the 2 GB
+LIMIT = 1 << 24  # bytes of a chunk; the real limit is 2 GB
 FORMATS = [("mcap", "none"), ("mcap", "zstd"), ("sqlite3", "none")]
 
 
@@ -118,7 +118,7 @@ def test_equal_recordings_give_equal_bytes(tmp_path, storage, compression):
         assert (tmp_path / "one/bag" / name).read_bytes() == (tmp_path / "two/bag" / name).read_bytes()
 
 
-# What rosbag2's metadata parser of version 9 reads without a default, and the type it reads it as.
+# Keys that rosbag2's metadata parser of version 9 requires, and the type that it expects of each.
 QOS_FIELDS = {
     "history": str,
     "depth": int,
@@ -502,7 +502,7 @@ def test_the_first_difference_is_named():
     assert (result.first.a, result.first.b) == (4.0, 4.04)
     assert str(result.first) == "t = 0.004 s, command a/effort: 4.0 against 4.04"
     command = result.topics[2]
-    assert command.differing == 12  # 12 of 13 messages differ, because the first command is zero in both
+    assert command.differing == 12  # 12 of 13 messages differ: the first command is zero in both bags
     assert command.largest == {"a/effort": pytest.approx(0.48)}
     assert [t.equal for t in result.topics] == [True, True, False]
 
@@ -1013,7 +1013,7 @@ def test_whole_messages_inside_a_truncated_chunk_are_recovered(tmp_path, compres
     source, chance = (
         Recording([("a", STATE)]),
         random.Random(1),
-    )  # not compressible: several blocks of zstd in the chunk
+    )  # random values do not compress, so the chunk has several zstd blocks
     layout = Layout(STATE, "", ["a", "b"], {"position": 2})
     for k in range(4000):
         source.add(0, k, layout.encode(k, (chance.random(), chance.random())))

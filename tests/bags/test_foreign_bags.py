@@ -267,7 +267,8 @@ def test_wrong_times_of_a_chunk_lose_no_message(tmp_path, first, last):
     """Fields that a writer has left at zero or miscounted, and a player that starts reading at a later time."""
     file = mcap(tmp_path / "x.mcap", speeds())
     content = bytearray(file.read_bytes())
-    at = content.index(struct.pack("<QQ", START, START + 900_000_000))  # start of the chunk; its index follows later
+    # The chunk begins here; its index follows later.
+    at = content.index(struct.pack("<QQ", START, START + 900_000_000))
     content[at : at + 16] = struct.pack("<QQ", first, last)
     file.write_bytes(content)
     with BagReader(file) as bag:
@@ -374,7 +375,7 @@ def test_all_installed_definitions_are_the_same_in_both_languages():
             name = f"{file.parts[-3]}/msg/{file.stem}"
             one = types_of(name, file.read_text(), "ros2msg")[name][1]
             two = types_of(name, idl.read_text(), "ros2idl")[name][1]
-            if not one:  # IDL has no empty structure
+            if not one:  # IDL has no empty structure, so it gets one dummy member
                 assert [field for field, _ in two] == ["structure_needs_at_least_one_member"]
                 continue
             plain = str(one).replace("'char'", "'uint8'")
@@ -646,7 +647,8 @@ def test_stamps_of_two_clocks_are_no_time_axis(tmp_path):
     for name, gain in (("a", 1.0), ("b", 3.0)):
         rows = []
         for k in range(40):
-            stamp = START + k * 10**8 - (k % 2) * 7 * 10**9  # every other message is of a clock seven seconds late
+            # Every other message is stamped by a clock that is seven seconds late.
+            stamp = START + k * 10**8 - (k % 2) * 7 * 10**9
             rows.append(("/j", STATE, START + k * 10**8, joints(["j"], [gain * k], stamp)))
         files.append(mcap(tmp_path / f"{name}.mcap", rows))
     result = align(*map(signals, files))

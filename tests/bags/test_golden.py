@@ -57,7 +57,7 @@ def nodes():
             yield pytest.param(name, node, marks=() if daily else pytest.mark.long)
 
 
-DEAR = "optimal_control_mvim"  # tests/systems runs its 20 s daily, so that a shorter run is compared here
+DEAR = "optimal_control_mvim"  # tests/systems runs its 20 s daily, so a shorter run is compared here
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n == DEAR)) for n in GOLDEN])
@@ -117,7 +117,7 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
     )
     assert golden.how == "byte for byte"
     assert not golden.compare(one).equal
-    assert golden.compare(one, elsewhere=True).equal  # within 1e-9
+    assert golden.compare(one, elsewhere=True).equal  # the bags agree within 1e-9
     recipe = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"math": "0"}})
     other = type(golden)(golden.folder, recipe, golden.rig)
     assert other.compare(one).equal
@@ -130,7 +130,8 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
 
 def test_other_versions_use_the_tolerances_for_other_machines():
     golden = load(BAGS / "induction_dtc_short")
-    recipe = golden.recipe.model_copy(update={"made_with": versions()})  # as if the present versions had made the bag
+    # As if the installed versions had made the bag.
+    recipe = golden.recipe.model_copy(update={"made_with": versions()})
     golden = type(golden)(golden.folder, recipe, golden.rig)
     assert not golden.others
     assert golden.recipe.elsewhere
@@ -182,7 +183,7 @@ from softrig_bringup.verbs.golden import load
 {inspect.getsource(digest)}
 print(json.dumps([digest(Path(folder)) for folder in sys.argv[1:]]))
 """
-KERNELS = {  # what OpenBLAS and numpy choose on other CPUs; `pin` does not change variables that are set
+KERNELS = {  # kernels that OpenBLAS and numpy choose on other CPUs; `pin` leaves variables that are set
     "prescott": {bits.CORE: "Prescott", bits.SIMD: bits.PINS[bits.SIMD]},
     "v2": {"NPY_ENABLE_CPU_FEATURES": "X86_V2"},
     "nehalem": {bits.CORE: "Nehalem"},
@@ -190,7 +191,7 @@ KERNELS = {  # what OpenBLAS and numpy choose on other CPUs; `pin` does not chan
     "two threads": {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"},
     "prescott and v2": {bits.CORE: "Prescott", "NPY_ENABLE_CPU_FEATURES": "X86_V2"},
     "skylakex": {bits.CORE: "SkylakeX", bits.SIMD: bits.PINS[bits.SIMD]},
-    # a script that imports numpy first, on a CPU with AVX-512
+    # A script that imports numpy before softrig, on a CPU with AVX-512.
     "unpinned": {bits.CORE: "SkylakeX", bits.SIMD: "AVX512_SPR"},
 }
 

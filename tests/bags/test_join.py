@@ -43,7 +43,8 @@ def test_a_recorder_that_joins_late_reports_what_it_missed():
         for name, (kind, layout, marks) in SENT.items()
     ]
     assert missed(results) == {"clock": 22, "sixty": 7, "array": 31}
-    assert missed([*results, joined(*WHOLE)]) == {"array": 31}  # a rig waits for its recorder on all topics or on none
+    # A rig waits until its recorder has subscribed to all topics or to none.
+    assert missed([*results, joined(*WHOLE)]) == {"array": 31}
 
 
 @pytest.mark.parametrize("every", range(1, 9))

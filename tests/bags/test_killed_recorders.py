@@ -25,7 +25,8 @@ from softrig_bags.errors import BagError
 from softrig_bags.repair import repair
 from softrig_core.wire.recording import ShardWriter
 
-SQLITE = {  # rosbag2_storage_sqlite3: the default, `resilient`, and journals that its configuration file may choose
+# rosbag2_storage_sqlite3: its default, `resilient`, and the journal modes that a configuration file can select.
+SQLITE = {
     "default": ["journal_mode=MEMORY", "synchronous=OFF"],
     "resilient": ["journal_mode=WAL", "synchronous=NORMAL"],
     "wal_short": ["journal_mode=WAL", "wal_autocheckpoint=8"],
@@ -34,7 +35,7 @@ SQLITE = {  # rosbag2_storage_sqlite3: the default, `resilient`, and journals th
     "persist": ["journal_mode=PERSIST", "synchronous=OFF"],
     "exclusive": ["locking_mode=EXCLUSIVE", "journal_mode=WAL", "page_size=512"],
 }
-MCAP = {  # rosbag2_storage_mcap: its presets and single options, as those of the library
+MCAP = {  # rosbag2_storage_mcap: its presets, and single options of the MCAP library
     "fastwrite": {"use_chunking": False},
     "zstd_fast": {"compression": "zstd", "enable_crcs": False, "chunk_size": 4096},
     "zstd_small": {"compression": "zstd", "chunk_size": 65536},
@@ -182,11 +183,12 @@ def check_all_saved(folders, kind):
                 messages = make_reader(file).iter_messages(log_time_order=False)
                 saved = [(message.log_time, message.data) for _, _, message in messages]
         assert saved[: len(wanted)] == wanted
-        times = [t for t, _ in saved]  # complete messages of a cut chunk, or behind a damaged page, follow later
+        # Messages saved from a cut chunk or behind a damaged page keep the order of time, too.
+        times = [t for t, _ in saved]
         assert times == sorted(set(times))
         assert repaired.files[0].kept == len(saved)
         most = max(most, len(wanted))
-    assert most  # the recorders did record
+    assert most  # the recorders had written messages
 
 
 KINDS = [*(("sqlite", preset) for preset in SQLITE), *(("mcap", preset) for preset in MCAP)]
@@ -235,7 +237,7 @@ def test_rows_that_are_only_in_the_journal_are_saved(tmp_path, what):
     (tmp_path / "run").mkdir()
     recorder = database(tmp_path / "run/bag", "WAL", 999)
     before = {p.name: p.read_bytes() for p in (tmp_path / "run/bag").iterdir()}
-    assert len(before["bag_0.db3"]) < 9000  # everything is in the journal
+    assert len(before["bag_0.db3"]) < 9000  # all messages are still in the journal
     repaired = repair(tmp_path / "run" / what, tmp_path / "new")
     assert kept(repaired) == [("bag_0.db3 with bag_0.db3-wal", 999, [], [])]
     assert {p.name: p.read_bytes() for p in (tmp_path / "run/bag").iterdir()} == before

@@ -15,7 +15,7 @@ from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
 from test_bags import recording
 
-GAINS = {"a": 1.0, "b": 2.0, "deep/c": 1.0, "ab": 3.0}  # the last name begins with the name of another rig
+GAINS = {"a": 1.0, "b": 2.0, "deep/c": 1.0, "ab": 3.0}  # "ab" begins with the name of another rig, "a"
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_a_rig_in_a_namespace_is_read_as_if_it_were_alone(name, bags):
     assert [t.data for t in result.topics.values()] == [t.data for t in alone.topics.values()]
     named = signals(bags / "together", name)
     assert set(named) == set(signals(bags / "own"))
-    assert differences(named.recording, result) == []  # also topics that are read only when they are used
+    assert differences(named.recording, result) == []  # also compares topics that are decoded only on access
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_a_rig_in_a_namespace_is_read_as_if_it_were_alone(name, bags):
         (("own", "together", "/", "a"), 0),
         (("together", "own", "deep/c", "/"), 0),
         (("own", "together", "/", "b"), 1),
-        (("own", "together", "/", "/"), 1),  # the bag then has the topics of all five rigs
+        (("own", "together", "/", "/"), 1),  # that bag has the topics of all five rigs
         (("together", "together", "b"), 0),
     ],
 )

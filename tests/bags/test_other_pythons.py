@@ -17,7 +17,7 @@ def python(version):
     """Return a CPython of this version, of the machine or of pyenv; None if there is none."""
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     for candidate in (f"python{version}", *sorted(versions.glob(f"{version}.*/bin/python{version}"))):
-        if result := shutil.which(candidate):  # a shim of pyenv may be there for a version that is not chosen
+        if result := shutil.which(candidate):  # pyenv may have a shim for a version that is not active
             asked = subprocess.run(
                 [result, "-c", "import ensurepip, sys, venv; print(sys.version)"], capture_output=True, text=True
             )

@@ -144,7 +144,7 @@ def test_two_recordings_are_compared_as_by_independent_code(seed):
     ("a", "b", "tolerance", "off"),
     [
         (1.0, 1.25, (0.25, 0.0), False), (1.0, 1.25, (0.2499, 0.0), True), (4.0, 5.0, (0.0, 0.25), False),
-        (5.0, 4.0, (0.0, 0.2), False), (4.0, 5.0, (0.0, 0.2), True),  # relative to the reference
+        (5.0, 4.0, (0.0, 0.2), False), (4.0, 5.0, (0.0, 0.2), True),  # differences are relative to the reference
         (-4.0, -5.0, (0.0, 0.25), False), (0.0, 1e-300, (0.0, 1.0), True), (4.0, 4.5, (0.1, 0.125), False),
         (math.nan, math.nan, (0.0, 0.0), False), (math.nan, 1.0, (9.0, 9.0), True), (1.0, math.nan, (9.0, 9.0), True),
         (math.inf, math.inf, (0.0, 0.0), False), (math.inf, -math.inf, (9.0, 0.0), True),
@@ -220,7 +220,7 @@ def test_a_comparison_in_words_and_as_data():
     equal = TopicComparison("a", STATE, 3, 3)
     other = TopicComparison("b", STATE, 3, 4, missing=1, extra=2, differing=1, largest={"x": 0.12345, "y": math.inf})
     other.note(20, "x", 1.0, math.nan)
-    other.note(1_500_000_000, "y", 1, 2)  # a note with a later time is not the first one
+    other.note(1_500_000_000, "y", 1, 2)  # the first difference stays the one with the earliest time
     other.note(20, "z", 1, 2)  # for equal times the earlier entry is kept
     comparison = Comparison([equal, other])
     assert str(comparison) == (

@@ -69,7 +69,7 @@ class World:
     def stop(self):
         self.stopped = True
 
-    # the node
+    # The node as the player uses it.
 
     def create_publisher(self, kind, topic, profile):
         def publish(data):
@@ -150,9 +150,9 @@ def test_each_message_is_published_when_it_is_due_and_at_no_other_time(monkeypat
     wanted = [(0, "/a", 500), (0, "/b", 500), (7 / rate, "/b", 507), (90 / rate, "/a", 590), (1000 / rate, "/a", 1500)]
     assert world.by_stamp() == [(pytest.approx(t, abs=1e-3), topic, k) for t, topic, k in wanted]
     assert played.sent == 5
-    assert max(world.spun) <= 0.025  # so a service call never waits longer
+    assert max(world.spun) <= 0.025  # so a service call is never delayed by more
     assert world.frozen == 1
-    # wait until all subscribers have the last messages
+    # The player waits until all subscribers have the last messages.
     assert [data for _, _, data in world.said[-2:]] == [Duration(seconds=2)] * 2
 
 
@@ -161,7 +161,8 @@ def test_the_clock_is_published_before_the_messages_of_a_time_and_every_25_ms_be
     playing(world, Bag([("/a", HEADER)], headers(0, 100, 200, 201)), clock=True).run()
     assert world.by_stamp() == [
         (0, "/clock", 100), (0, "/a", 100),
-        (25, "/clock", 100), (50, "/clock", 125), (75, "/clock", 150),  # /clock is published at the start of this part
+        # /clock starts at the start of this part, not of the bag.
+        (25, "/clock", 100), (50, "/clock", 125), (75, "/clock", 150),
         (100, "/clock", 200), (100, "/a", 200), (101, "/clock", 201), (101, "/a", 201),
     ]  # fmt: skip
     assert "/clock" not in {topic for _, topic, data in world.said if isinstance(data, Duration)}
@@ -228,7 +229,7 @@ def test_it_repeats_or_ends_and_stops_immediately(monkeypatch):
     world = World(monkeypatch, until=0.0105)
     bag = Bag([("/a", HEADER)], headers(0, 3, 5, 6))
     playing(world, bag, loop=True).run()
-    # each of three loops lasts 3 ms; the end cuts the last one
+    # Each of three loops lasts 3 ms; the end of the part cuts the last one.
     assert [k for _, _, k in world.by_stamp()] == [3, 5, 6] * 3 + [3]
     world = World(monkeypatch)
     playing(world, bag, loop=False).run()
@@ -248,7 +249,7 @@ def test_it_waits_for_a_subscriber_of_each_topic(monkeypatch):
     assert nobody.sent == 0
 
 
-END = (2**63 - 1) // MS  # play to the last message, whatever end the metadata states
+END = (2**63 - 1) // MS  # the player stops at the last message even if the metadata state a later end
 
 
 @pytest.mark.parametrize(
@@ -356,7 +357,8 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
     }
     assert [stamp(d) for d in result.topics["out"].data] == result.topics["out"].times
     assert (played.sent, world.stopped) == (40, True)
-    assert world.said[-1][1:] == ("/in", Duration(seconds=2))  # wait until all subscribers have the last messages
+    # The player waits until all subscribers have the last messages.
+    assert world.said[-1][1:] == ("/in", Duration(seconds=2))
     order = [(k, topic == "/in") for _, topic, k in world.by_stamp()]
     assert [k for k, asks in order if asks] == ticks
     for tick in answered:  # all messages of a tick are published before any of a later one
@@ -376,7 +378,7 @@ def test_a_node_that_announces_its_ticks_is_waited_for_at_each(monkeypatch):
     Law(world, ["/in"], ["/law/tick"], delay=lambda data: 0.2)
     world.peers["/out"] = world.peers["/law/tick"]
     result = replaying(world, Bag([("/in", HEADER), ("/out", HEADER)], headers(0, 0, 10, 20))).run()
-    assert list(result.topics) == ["out"]  # messages of ticks are not recorded as answers
+    assert list(result.topics) == ["out"]  # messages of the ticks are not recorded as answers
     times = [t for t, topic, _ in world.by_stamp("/in")]
     assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([200, 200])
 
@@ -449,7 +451,7 @@ def test_missing_nodes_are_named_when_the_timeout_ends(monkeypatch, discovered, 
         monkeypatch.setattr(played._publishers, "unheard", list)
     with pytest.raises(RunError, match=rf"^no node to play to within 2 s: {text}$"):
         played.run()
-    assert world.now == pytest.approx(2.5)  # the player checks every 0.25 s, beginning at once
+    assert world.now == pytest.approx(2.5)  # the player checks every 0.25 s, first at t = 0
     assert world.timers == [0.25]
 
 
@@ -460,7 +462,8 @@ def test_a_missing_answer_ends_the_replay_and_a_pause_does_not(monkeypatch):
     played = replaying(world, Bag([("/in", HEADER)], headers(0, 0, 10, 20, 30)), paused=True, timeout=0.5)
     with pytest.raises(RunError, match=r"^no answer to t = 0.02 s on /out within 0.5 s$"):
         played.run()
-    assert world.now == pytest.approx(1.75)  # the player checks every 0.25 s; exactly 0.5 s do not exceed the limit
+    # The player checks every 0.25 s; a silence of exactly 0.5 s is within the limit.
+    assert world.now == pytest.approx(1.75)
     world = World(monkeypatch, until=0.1)
     Law(world, ["/in"], ["/out"], delay=lambda data: 1e12)
     with pytest.raises(RunError, match=r"^stopped at t = 0.005 s$"):
@@ -485,7 +488,7 @@ def test_an_answer_of_another_tick_is_refused_in_any_order():
     assert not early.missing
     with wrong():
         early.expect(1 * MS, 1 * MS)
-    bare.receive(other)  # a message without a stamp fits any tick
+    bare.receive(other)  # a message without a stamp counts for any tick
     assert not bare.missing
 
 

@@ -85,7 +85,7 @@ class Rig:
 
 def end(process: subprocess.Popen) -> None:
     with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)  # also its child processes, since they hold the pipe open
+        os.killpg(process.pid, signal.SIGKILL)  # child processes would otherwise keep the pipe open
     process.communicate()
 
 
@@ -158,7 +158,7 @@ def test_record_and_replay_round_trip(rig, tmp_path, capsys, options):
 def test_kill_9_costs_at_most_a_megabyte(rig, tmp_path, storage, source):
     write_bag(tmp_path / "source", source)
     size = sum(len(d) for t in source.topics.values() for d in t.data)
-    short = len(source.topics) == 3  # less than a chunk, but older than the flush period
+    short = len(source.topics) == 3  # the bag is smaller than a chunk, but older than the flush period
     last = [t.data[-1] for t in source.topics.values()] if short else []
     recorder = rig.recorder("--output", "cut", "--storage", storage, "--use-sim-time")
     assert finish(rig.player("source", "--wait"))[0] == 0
@@ -222,7 +222,7 @@ def test_losses_are_counted_and_reported(rig, tmp_path):
     publisher = rig.node("publish", 8_000)
     recorder = rig.recorder("burst", "--output", "bag", "--use-sim-time")
     assert publisher.stdout.readline() == "matched\n"
-    recorder.send_signal(signal.SIGSTOP)  # of the burst it receives only what fits into its queue
+    recorder.send_signal(signal.SIGSTOP)  # of the burst the recorder receives only what fits into its queue
     publisher.stdin.write("go\n")
     publisher.stdin.flush()
     assert publisher.stdout.readline() == "sent\n"
@@ -243,7 +243,8 @@ def test_qos_is_adapted_to_publishers_as_they_appear(rig, tmp_path):
     node = rig.node("mixed")
     assert node.stdout.readline() == "latched\n"
     recorder = rig.recorder("--output", "bag", "--regex", "text|sensor|both")
-    assert node.stdout.readline() == "sent\n"  # the recorder has subscribed to "both" again, with a weaker QoS
+    # The recorder has subscribed to "both" again, with a weaker QoS profile.
+    assert node.stdout.readline() == "sent\n"
     file = tmp_path / "bag/bag_0.mcap"
     awaited = (b"sensor\0", b"unreliable\0", b"reliable again\0")
     until(lambda: all(name in file.read_bytes() for name in awaited), "the flush")
@@ -288,7 +289,7 @@ def test_messages_that_wait_while_qos_is_adapted_are_kept(recorder, listener, tm
 
 
 def test_a_topic_that_returns_with_another_type_is_recorded_with_both(recorder, rig, tmp_path):
-    context = rclpy.Context()  # a participant has one type per topic, so this is a second one
+    context = rclpy.Context()  # a participant has one type per topic, so the other type needs a second participant
     context.init(domain_id=rig.domain)
     other = Node("other", context=context)
     for msgtype, count in ((STATE, 5), ("std_msgs/msg/Header", 4), (STATE, 3)):
@@ -327,7 +328,7 @@ def test_a_recorder_that_was_stopped_does_not_claim_that_nothing_was_lost(listen
     made = Recorder(SimpleNamespace(node=listener), writer, Selection(("/late",)), holds=Holds(2.5, lambda: now[0]))
     topic = BagTopic.known("/late", STATE)
     made._numbers["/late", STATE] = writer.add_topic(topic)
-    for pause in (0.1, 2.4, 0.1):  # the machine is slow, but no limit is exceeded
+    for pause in (0.1, 2.4, 0.1):  # a slow machine, on which no limit is exceeded
         now[0] += pause
         made._discover()
         made._receiver(topic)(Layout(STATE).encode(1, ()))
@@ -352,7 +353,7 @@ def test_the_timeout_of_publishers_is_that_of_the_profile(tmp_path, monkeypatch)
     own.write_text(PROFILE.read_text().replace("<sec>3</sec>", "<sec>DURATION_INFINITY</sec>"))
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(own))
     assert patience() == float("inf")
-    own.write_text("<profiles/>")  # a profile without durations: the defaults of Fast DDS hold
+    own.write_text("<profiles/>")  # the profile sets no durations, so Fast DDS's defaults hold
     assert patience() == 17.0
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
     assert patience() == 2.5
@@ -418,7 +419,7 @@ def listener(rig, monkeypatch):
     for name, msgtype in (("/clock", CLOCK), ("/state", STATE)):
         node.create_subscription(message_class(msgtype), name, lambda m, name=name: node.heard.append((name, m)), 1000)
 
-    def turn():  # all messages that have arrived, not one for each check of `until`
+    def turn():  # one turn handles all messages that have arrived before `until` is checked again
         executor.spin_once(timeout_sec=0.05)
         for _ in range(20):
             executor.spin_once(timeout_sec=0)
@@ -611,7 +612,7 @@ def ask(node, service: str, kind, **fields):
 @pytest.mark.long
 def test_their_options_are_parameters_that_can_be_read_but_not_set(rig, listener, tmp_path):
     write_bag(tmp_path / "bag", small())
-    # the file of `ros2 param dump` has the same values as the options
+    # A parameter file (`ros2 param dump`) has the same values as the options.
     player = rig.player("bag", "--paused", "--rate", "2.5", "--ros-args", "-p", "rate:=2.5", "-p", "paused:=true")
     recorder = rig.recorder("--output", "copy", "--max-size", "8", "/none")
     names = ask(listener, "/player/list_parameters", ListParameters).result.names
@@ -646,7 +647,7 @@ def test_two_interrupts_in_a_row_end_without_a_traceback(rig, tmp_path, tool):
         process.send_signal(signal.SIGINT)
     status, output = finish(process)
     assert "Traceback" not in output
-    # a negative status: the signal arrived before Python had installed its handler
+    # A negative status: the signal arrived before Python had installed its handler.
     assert status in (0, 130, -signal.SIGINT)
 
 

@@ -132,7 +132,7 @@ def test_selected_topics_are_subscribed_as_they_appear_and_failures_are_reported
     assert [period for period, _ in node.timers] == [0.1, 0.5]
     node.publish("/a", HEADER, profile=QoSProfile(depth=3, durability=LATCHED))
     node.publish("/left", HEADER)
-    node.topics["/b"] = [HEADER]  # no node publishes it yet
+    node.topics["/b"] = [HEADER]  # no node publishes the topic yet
     node.publish("/two", HEADER)
     node.publish("/two", FLOAT)
     node.publish("/odd", "odd_msgs/msg/Odd")
@@ -160,7 +160,7 @@ def test_selected_topics_are_subscribed_as_they_appear_and_failures_are_reported
     assert list(node.subscriptions) == ["/a", "/two", "/b"]
     # the reliability follows from the publishers of other nodes only
     assert node.subscriptions["/b"].profile.reliability == BEST
-    assert len(node.errors) == 2  # each error is logged once
+    assert len(node.errors) == 2
     assert [t.name for t in writer.topics] == ["/a", "/two", "/b"]
     assert writer.topics[0].offered[0].durability == QosDurability.TRANSIENT_LOCAL
 
@@ -180,7 +180,7 @@ def test_a_topic_whose_publisher_changes_its_type_is_subscribed_again(made, tmp_
     node.subscriptions["/a"].callback(Layout(FLOAT).encode(0, (1.0,)))
     node.publishers["/a"] = []
     node.publish("/a", "odd_msgs/msg/Odd")
-    recorder._discover()  # the existing subscription is kept
+    recorder._discover()  # the existing subscription stays
     node.publish("/a", HEADER)
     recorder._discover()
     node.subscriptions["/a"].callback(header(30))
@@ -208,7 +208,7 @@ def test_a_message_is_written_under_its_stamp_or_its_time_of_arrival(made, tmp_p
     writer.close()
     topics = read_bag(tmp_path / "bag").topics
     assert topics["a"].times == ([40, 70] if stamped else [200, 300])
-    # a message without a stamp gets the newest stamp of all topics
+    # A message without a stamp gets the newest stamp of all topics.
     assert topics["bare"].times == ([0, 70] if stamped else [100, 400])
 
 
@@ -259,7 +259,7 @@ def test_losses_are_added_up_over_subscriptions_and_reported(made):
     assert recorder.lost == {"/a": 9, "/b": 1}
     assert [t.name for t in writer.topics] == ["/a", "/b"]  # each topic is declared once
     writer.flush()
-    assert writer.count == 2  # the messages that waited
+    assert writer.count == 2  # messages that arrived before the topic was declared
     writer.close()
 
 
@@ -405,7 +405,7 @@ class Given:
         """Never fire."""
 
     def serve_by(self, timer):
-        assert timer == self.timer  # by one of the node's own
+        assert timer == self.timer  # a timer of the node itself serves its services
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def chunk_parts(content, begin):
 
 def test_all_whole_messages_of_a_truncated_file_remain(tmp_path, monkeypatch):
     content = whole(tmp_path / "bag", monkeypatch).read_bytes()
-    ends, stretches = [], []  # of messages; of records: where each begins and ends, and whether it is a chunk
+    ends, stretches = [], []  # where messages end; where records begin and end, and which are chunks
     for code, at, begin, end in records(content, 8):
         stretches.append((at, end, code == CHUNK))
         if code == CHUNK:
@@ -91,7 +91,7 @@ def test_a_chunk_with_a_changed_byte_is_lost_and_no_other(tmp_path, monkeypatch,
     (_, _, begin, end) = [r for r in records(content, 8) if r[0] == CHUNK][1]
     data, length = chunk_parts(content, begin)
     file = tmp_path / "changed.mcap"
-    for at in (*range(data, data + length, 11), begin + 24):  # the last place is the chunk's checksum
+    for at in (*range(data, data + length, 11), begin + 24):  # the last place is the checksum of the chunk
         file.write_bytes(content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :])
         recovery = Recovery(file)
         assert [r.log_time for r in recovery if isinstance(r, Message)] == [0, 1, 2, 6, 7, 8], at
@@ -105,7 +105,7 @@ def test_without_a_checksum_the_messages_before_the_damage_remain(tmp_path, monk
     (_, _, begin, _) = [r for r in records(content, 8) if r[0] == CHUNK][1]
     data, length = chunk_parts(content, begin)
     ends = [stop for kind, _, _, stop in records(content[data : data + length]) if kind == MESSAGE]
-    at = data + ends[0] + 1  # the length of the second message
+    at = data + ends[0] + 1  # damage the length of the second message
     changed = content[: begin + 24] + bytes(4) + content[begin + 28 : at] + b"\xff" + content[at + 1 :]
     (tmp_path / "changed.mcap").write_bytes(changed)
     recovery = Recovery(tmp_path / "changed.mcap")
@@ -166,7 +166,7 @@ def stream(content):
         (len(TEXT) + 1, "zstd", zstd.compress(TEXT), "that it claims"),
         (len(TEXT), "zstd", stream(TEXT), ""),
         (len(TEXT) - 1, "zstd", stream(TEXT), "that it claims"),
-        (2 * len(TEXT), "zstd", 2 * zstd.compress(TEXT), ""),  # two frames
+        (2 * len(TEXT), "zstd", 2 * zstd.compress(TEXT), ""),  # two frames in one chunk
         (2 * len(TEXT), "zstd", 2 * stream(TEXT), ""),
         (len(TEXT), "lz4", lz4(TEXT), ""),
         (len(TEXT) - 1, "lz4", lz4(TEXT), "that it claims"),

@@ -108,14 +108,15 @@ def test_a_port_is_written_without_defaults_and_becomes_an_output():
 STREAMS = {  # stamps, ns; periods before the first one, by hand
     "from the start": (range(0, 100, 10), 0),
     "three late": (range(30, 130, 10), 3),
-    "three late and a bit, as rounding adds up": (range(31, 131, 10), 3),  # 1 + 3/8 ns are allowed
+    # Rounding adds 1 + 3/8 ns, which is allowed.
+    "three late and a bit, as rounding adds up": (range(31, 131, 10), 3),
     "more than rounding adds up to": (range(32, 132, 10), 0),
     "between its ticks": (range(35, 135, 10), 0),
     "at each fourth tick from the third on": (range(20, 420, 40), 0),
     "two messages": ([30, 40], 0),
     "three messages": ([30, 40, 50], 3),
     "after eight it may do as it likes": ([*range(30, 120, 10), 1000], 3),
-    "the eighth interval is another": ([*range(30, 110, 10), 111], 3),  # by 1 ns: its mean is 10 1/8 ns
+    "the eighth interval is another": ([*range(30, 110, 10), 111], 3),  # 1 ns more: the mean interval is 10 1/8 ns
     "the eighth interval is quite another": ([*range(30, 110, 10), 112], 0),
     "a nanosecond off is rounding": ([300, 400, 501, 600], 3),
     "more is not": ([300, 400, 502, 600], 0),
@@ -197,7 +198,7 @@ def test_a_duration_of_a_profile_is_read_in_each_of_its_forms(text, seconds):
     [
         ((), "", "", ["/a", "/a/b"], ["/_hidden", "/a/_hidden"]),
         (("a", "/b"), "", "", ["/a", "/b"], ["/c", "/a/b"]),
-        (("/_h",), "", "h", ["/_h"], ["/x"]),  # a topic that is named is recorded although it is hidden
+        (("/_h",), "", "h", ["/_h"], ["/x"]),  # a topic requested by name is recorded although it is hidden
         ((), "b$", "", ["/a/b", "/_b"], ["/b/a"]),
         ((), "", "b", ["/a"], ["/b", "/a/b"]),
         (("/c",), "a", "b", ["/a", "/c"], ["/ab", "/d"]),

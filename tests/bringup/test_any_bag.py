@@ -216,7 +216,7 @@ def test_every_verb_accepts_any_bag_or_refuses_it_in_one_line(run, tmp_path, cap
         if status == 2:
             assert bag.name in printed.err or "nothing to compare" in printed.err, (verb, printed.err)
         results[verb] = WORDS[status]
-    assert {p: p.read_bytes() for p in files} == files  # the bag itself is not changed
+    assert {p: p.read_bytes() for p in files} == files  # reading does not change the bag
     while OPEN:
         database = OPEN.pop()
         database.close() if isinstance(database, sqlite3.Connection) else database.abort()

@@ -24,10 +24,11 @@ ROOT = Path(__file__).parents[2]
 def test_the_script_names_the_parts_from_anywhere(tmp_path):
     (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
     command = [ROOT / "scripts/softrig", "bench", "--help"]
-    # The environment of a shell without softrig's variables.
+    # The environment of a shell that has none of softrig's variables.
     unpinned = {name: value for name, value in os.environ.items() if name not in bits.PINS}
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=unpinned)
-    assert (result.returncode, result.stderr) == (0, "")  # no warning that numpy was loaded before softrig
+    # No warning about numpy, which was not loaded before softrig.
+    assert (result.returncode, result.stderr) == (0, "")
     for name, part in PARTS.items():
         assert f"{name} " in result.stdout
         assert part.__doc__.splitlines()[0] in result.stdout
@@ -44,7 +45,7 @@ def test_an_unknown_part_is_reported(capsys):
 @pytest.mark.skipif(which("gcc") is None, reason="needs gcc")
 @pytest.mark.parametrize("name", native.LOOPS)
 def test_the_loop_in_c_gives_the_bits_of_native_code(name, monkeypatch):
-    # forget the code that this process has generated before
+    # Drop the code that this process has generated.
     monkeypatch.setattr("softrig_core.native.fitted._counts", {})
     assert all(ns > 0.0 for ns in native.rates(name, 2.0).values())
 
@@ -175,7 +176,7 @@ def test_a_table_is_written_between_its_marks_with_its_conditions(monkeypatch, t
     part = Mock(return_value={"peers": [("a", "b"), ("1", "2")]}, __doc__="About.")
     monkeypatch.setitem(PARTS, "peers", part)
     assert main(["peers"]) == 0
-    assert "old" in lab.read_text()  # it is written only if asked
+    assert "old" in lab.read_text()  # without --write the page stays as it is
     assert main(["peers", "--write"]) == 0
     head, mark, line, blank, *rest = lab.read_text().splitlines()
     assert (head, mark, blank) == ("# Lab", "<!-- bench: peers -->", "")
@@ -241,7 +242,8 @@ def test_a_commit_is_compared_in_turn_and_a_missing_one_is_refused(capsys, monke
     result = against.compared(tmp_path, ["x"])
     turns = [(tmp_path.name, "before"), (ROOT.name, "now")]
     assert ran == [(name, against.PREPARED) for name, _ in turns] + 3 * turns
-    assert result == {"x": ([(20.0, 40.0), (28.0, 40.0)], [(24.0, 10.0), (32.0, 10.0)])}  # the first round is left out
+    # The first round warms up and is not counted.
+    assert result == {"x": ([(20.0, 40.0), (28.0, 40.0)], [(24.0, 10.0), (32.0, 10.0)])}
     expected = ("x, CPU", "s", "24", "28", "1.17", "0.5"), ("x, peak", "MB", "40", "10", "0.25", "20 MB")
     assert tuple(against.rows(result)) == expected
     assert len(against.compared(tmp_path, ["x"], 1)["x"][0]) == 1

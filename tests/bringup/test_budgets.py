@@ -20,8 +20,8 @@ RUN = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.05", "-
 STUDY = ["study", "dc_motor_smc_b2", "--duration", "0.05", "--workers", "1", "--grid", "dc_motor_smc.delta=1,5"]
 NONE = ("numpy", "pydantic", "yaml", "rich", "importlib.metadata", "inspect")
 SCENARIO = "{title: t, system: s, duration: 1.0, nodes: {source: {package: faultrig, executable: source}}}"
-# Verbs in an order in which each may load more than those before it: its words, what it must not load beside `HEAVY`,
-# the most modules in the process after it, and the most of softrig's own.
+# Verbs in the order of what they load: the words, modules that must not be loaded beside `HEAVY`, and the largest
+# numbers of modules in all and of softrig's own.
 BUDGETS = (
     (["bag", "info", "r/bag"], (*RIG, *TABLES, "pydantic", "softrig_bringup.run"), 325, 62),
     (["bag", "compare", "r/bag", "r/bag"], (*RIG, *TABLES, "pydantic"), 330, 67),
@@ -71,7 +71,7 @@ def test_a_verb_loads_only_what_it_needs(tmp_path):
 
 def test_help_of_any_verb_loads_no_library(tmp_path):
     verbs = VERBS - SCRIPT.keys() - {words.split()[0] for words in FOREIGN}
-    # scripts/softrig keeps the text of a help until a file of these folders is newer.
+    # scripts/softrig caches the help text until a file of these folders is newer.
     kept = ("softrig_core", "kit", "softrig_bringup", "options", "pack", "study", "verbs")
     rooms = [f.parent for f in ROOT.glob("ros_pkgs/*/softrig_*/**/__init__.py") if f.parent.name not in kept]
     others = tuple(".".join(room.relative_to(ROOT).parts[2:]) for room in rooms)

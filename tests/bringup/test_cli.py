@@ -85,7 +85,7 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     assert metric["pass"] is True
     assert metric["published"] == 0.3
     command = f"run {folder / 'lag.yaml'} --mode inprocess --set gain.k=1.5 --seed 4"
-    assert content["command"].partition(" ")[2] == command  # the command must also work in another folder
+    assert content["command"].partition(" ")[2] == command  # the printed command must also work in another folder
     assert (out / "bag" / "metadata.yaml").is_file()
     assert list(out.glob("plot_*.svg"))
     assert "<html" in (out / "report.html").read_text()
@@ -353,7 +353,8 @@ def test_a_run_that_missed_most_deadlines_does_not_pass(folder, monkeypatch, cap
     first = capsys.readouterr().err.partition("\n")[0]
     slow = first.startswith("softrig: the machine did not keep up: plant missed 76.8 % of its deadlines; ")
     slow &= first.endswith("of a slower loop, --mode container is faster")
-    assert slow == (options != ["--max-missed", "76.8"])  # the run missed exactly 76.8 %, which is allowed
+    # The run missed exactly 76.8 % of its ticks, which is allowed.
+    assert slow == (options != ["--max-missed", "76.8"])
 
 
 def test_work_that_was_late_is_named_first(folder, monkeypatch, capsys):
@@ -385,7 +386,7 @@ def test_what_was_not_simulated_is_not_measured_and_an_event_that_never_happens_
     page = (folder / "runs" / "short-duration_0.5" / "report.html").read_text()
     assert "never" in page
     assert "the result is inf" not in page
-    assert page.count(">not judged<") == 2  # the run, and the figure that never came
+    assert page.count(">not judged<") == 2  # the run, and the figure that was never measured
 
 
 def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_the_node_it_replaces(folder):
@@ -441,8 +442,8 @@ def test_a_node_explains_itself():
     assert "run.mode = 'realtime'" in done.stdout
 
 
-# A script replaces Python, uv and what they install, so that set-up takes a second without a network. It logs its
-# arguments.
+# This script replaces Python, uv and what they install, so that set-up needs neither minutes nor a network. It logs
+# its arguments.
 STUB = """#!/bin/bash
 echo "$(basename "$0") $*" >>"$HOME/calls"
 case "$*" in
@@ -484,13 +485,13 @@ def test_a_call_that_waited_for_another_set_up_uses_its_result(bare, tmp_path):
     ]
     (first, printed), (second, also) = (call.communicate(timeout=PATIENCE) for call in calls)
     assert [call.returncode for call in calls] == [0, 0], printed + also
-    # one call set up, the other waited
+    # One call did the set-up while the other waited.
     assert sorted(("ready after" in printed, "ready after" in also)) == [False, True]
     assert first == second
     assert f"export SOFTRIG_SCENARIOS={tmp_path}/config/scenarios" in first
     assert "export AMENT_PREFIX_PATH=/built" in first
     installs = [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c]
-    # pip installs uv, and uv installs everything else, both once
+    # pip installs uv, and uv installs all other packages, each once.
     assert [c.split()[0] for c in installs] == ["python", "uv"]
     assert all("--require-hashes" in c for c in installs)
 
@@ -537,7 +538,7 @@ def test_kilteds_wheels_are_set_up_beside_jazzys_and_remembered(bare, tmp_path):
     assert softrig("setup", SOFTRIG_DISTRO="rolling").returncode == 2
     assert softrig("setup", "--distro", "kilted").returncode == 0
     wanted = (tmp_path / ".kilted" / ".ws" / "run.txt").read_text()
-    # a package with several entries, one for each Python, keeps the last
+    # A package with one entry for each Python keeps the last.
     pinned = dict(re.findall(r"^([\w-]+)==(\S+)", wanted, re.M))
     lines = re.findall(r"^([\w-]+==\S+) ; .*", (SCRIPTS / "locks/distro/kilted.lock").read_text(), re.M)
     assert all(wanted.count(f"\n{line} ;") == 1 for line in lines)
@@ -602,7 +603,7 @@ def test_an_error_of_softrig_in_a_run_is_kept_in_its_folder(folder, monkeypatch,
     assert f"the traceback is in {log}" in capsys.readouterr().err
     assert "in broken" in log.read_text()
     assert once() == 4
-    assert len(list((folder / "out" / "log").glob("softrig-error-*"))) == 1  # the old one was replaced
+    assert len(list((folder / "out" / "log").glob("softrig-error-*"))) == 1  # the new log replaced the old one
     assert run("lag", "--mode", "inprocess", "--no-plots", "--out", "out") == 0
     assert not (folder / "out" / "log").exists()
 
@@ -626,7 +627,8 @@ def command(*arguments, **options):
 def test_an_output_encoding_that_lacks_a_character_shows_another(folder, monkeypatch, encoding):
     (folder / "lag.yaml").write_text(SCENARIO.replace("First-order lag", "First-order lag, 3 µs → 4 µs"))
     written = io.BytesIO()
-    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding))  # strict, as Python opens its own
+    # Strict encoding, as Python opens its own output.
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding))
     assert main(["list", "lag"]) == 0
     assert b"First-order lag, 3" in written.getvalue()
 
@@ -681,7 +683,7 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_complete(folder, mo
     monkeypatch.setattr("softrig_bringup.run.run.write_bag", write_bag)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
-    # the interrupted run has completed its list of files, so that another run may replace it
+    # An interrupted run has written its manifest, so another run may replace its files.
     assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0
 
 
@@ -757,7 +759,7 @@ def on_a_full_disk(limit, *arguments):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    # Python itself would leave a truncated .pyc, which cannot be imported any more
+    # Otherwise Python would leave a truncated .pyc file, which cannot be imported.
     environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "ROS_DOMAIN_ID": "230"}
     return command(*arguments, preexec_fn=full, capture_output=True, text=True, env=environment)
 

@@ -121,7 +121,7 @@ def test_on_a_narrow_terminal_no_number_and_no_word_is_broken(tmp_path, capsys, 
     lines = capsys.readouterr().out.splitlines()
     assert (
         lines[0].rstrip() == "dc_motor_smc_b2: DC motor rig, softened sliding"
-    )  # the title takes the terminal's width
+    )  # the title fills the width of the terminal
     assert max(map(len, lines)) <= 50
     assert "rise_time  pass" in [line.rstrip() for line in lines]
     measured = json.loads((tmp_path / "run/metrics.json").read_text())["metrics"]

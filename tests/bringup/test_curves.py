@@ -118,7 +118,7 @@ def test_a_held_signal_continues_to_the_end_of_the_run_and_a_measured_one_does_n
     assert (len(nothing.x), len(nothing.y)) == (0, 0)
     assert (state.label, state.unit, state.signal) == (X, source.units[X], X)
     less = source.difference("lag/command/u/effort", X, "")
-    # without the point at the end of the drawn line
+    # Without the last point, up to which the line is extended.
     assert (less.x.tolist(), less.y.tolist()) == ([0.0, 0.1], [6.0, 6.0])
     assert (less.label, less.unit) == (f"lag/command/u - {X}", source.units["lag/command/u/effort"])
     late = Source(
@@ -226,7 +226,7 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
         (measures.mean, None, 7.0, {}, [("value", math.nan, math.nan, 7.0, -INF, INF)]),
         (measures.mean, None, None, {}, []),
         (measures.final_value, BETWEEN, None, {"scale": 2.0}, [("value", 0.75, 1.25, math.nan, -INF, INF)]),
-        (measures.mean_square, BETWEEN, None, {}, []),  # has no place in a picture over time
+        (measures.mean_square, BETWEEN, None, {}, []),  # a mean square has no unit of its signal, so it is not drawn
         # Extremes: a bound is drawn over the whole window, a value beside its instant, 0.06 of the window to either
         # side.
         (measures.maximum, {"expected": 5.0, "tolerance": 0.5}, None, {}, [("value", 4.5, 5.5, math.nan, 2.76, 3.24)]),
@@ -246,8 +246,9 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
         (measures.error_settling_time, MOST, None, {"band": 0.1}, [("time", -INF, 2.0, math.nan, -INF, INF)]),
         (measures.settling_time, BETWEEN, 1.0, {}, [("time", 1.5, 2.5, 1.0, -INF, INF)]),
         (measures.settling_time, BETWEEN, 1.0, {"start": 1.0}, [("time", 2.5, 3.5, 2.0, 1.0, INF)]),
-        (measures.rise_time, BETWEEN, None, {"final": 5.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),  # 1 V at 1 s
-        # the lowest level that still counts
+        # The first sample above 10 % is 1 V, at 1 s.
+        (measures.rise_time, BETWEEN, None, {"final": 5.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),
+        # 10 % of 10 V is 1 V, which the signal reaches exactly at 1 s.
         (measures.rise_time, BETWEEN, None, {"final": 10.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),
         (measures.rise_time, BETWEEN, None, {"low": 0.5}, [("time", 3.5, 4.5, math.nan, -INF, INF)]),
         (measures.rise_time, BETWEEN, None, {"final": 99.0, "low": 0.2}, []),  # the rise never begins
@@ -270,7 +271,7 @@ def test_a_fall_is_marked_as_a_rise_is(monkeypatch):
     fall = marked(monkeypatch, measures.rise_time, BETWEEN, values=-CLIMB)
     assert fall == [("time", 2.5, 3.5, pytest.approx(math.nan, nan_ok=True), -INF, INF)]
     (down,) = marked(monkeypatch, measures.overshoot, MOST, values=-CLIMB)
-    assert down[1:3] == (pytest.approx(-4.08), INF)  # beyond is below
+    assert down[1:3] == (pytest.approx(-4.08), INF)  # the overshoot of a fall lies below its final value
 
 
 class Fixed(Judge):
@@ -287,9 +288,10 @@ class Fixed(Judge):
     [
         ([], []),
         ([(1.0, 2.0)], [(1.0, 2.0)]),
-        ([(0.0, 1.0), (1.099, 2.0), (2.2, 10.0)], [(0.0, 2.0), (2.2, 10.0)]),  # a hundredth of ten seconds
+        # A gap below a hundredth of the ten seconds closes.
+        ([(0.0, 1.0), (1.099, 2.0), (2.2, 10.0)], [(0.0, 2.0), (2.2, 10.0)]),
         ([(0.0, 1.0), (1.0, 1.5), (1.5, 1.6)], [(0.0, 1.6)]),
-        ([(0.0, 0.5), (1.5, 100.0)], [(0.0, 100.0)]),  # the largest distance at which points are merged
+        ([(0.0, 0.5), (1.5, 100.0)], [(0.0, 100.0)]),  # the largest gap that is closed: 1 s of 100 s
         ("not judged", []),
     ],
 )
@@ -399,7 +401,7 @@ def test_curves_are_distinguished_by_colour_then_by_dashes_and_many_by_shade():
     many = styles([plain] * 9)
     assert {s["linewidth"] for s in many} == {0.8}
     lightness = [sum(to_rgb(s["color"])) for s in many]
-    assert lightness == sorted(lightness)  # dark to light
+    assert lightness == sorted(lightness)  # the colours go from dark to light
     assert [many[k]["color"] for k in (0, 8)] == ["#00224e", "#f3db42"]
 
 
@@ -412,7 +414,7 @@ def boxed(names, width, title="", marks=()):
     if box is None:
         return ax.get_title("left") or None
     corner = ax.transAxes.inverted().transform(box.get_bbox_to_anchor().p0)
-    assert corner == pytest.approx((0.0, 1.0), abs=1e-9)  # above the axes, from the left
+    assert corner == pytest.approx((0.0, 1.0), abs=1e-9)  # the legend is above the axes and begins at their left edge
     assert (box._loc, {t.get_fontsize() for t in box.get_texts()}, box._alignment) == (3, {9.0}, "left")
     return [t.get_text() for t in box.get_texts()], box._ncols, box.get_title().get_text()
 
@@ -424,7 +426,7 @@ def boxed(names, width, title="", marks=()):
         (["aaaa", "b", "c"], 20, {}, (["aaaa", "b", "c"], 2, "")),  # each name needs six more letters of width
         (["aaaa", "b", "c"], 9, {}, (["aaaa", "b", "c"], 1, "")),
         (["a b c d"], 4, {"title": "it"}, (["a b\nc d"], 1, "it")),
-        # names without a value in this picture are left out
+        # Names without a value in this picture are left out.
         (["a", "", "c"], 55, {"marks": ["limit"]}, (["a", "c", "limit"], 3, "")),
         ([""], 55, {}, None),
         (["a"] * 8, 200, {}, (["a"] * 8, 8, "")),
@@ -477,13 +479,13 @@ def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, colum
     ("silent", "most", "drawn"),
     [
         ([], None, ["Own", "Outside", "Less", "Both", "overview"]),
-        (["o"], None, ["Own", "Both", "overview"]),  # only topics that an external node did not publish have no picture
-        # a silent topic of an internal node is named in its own picture
+        (["o"], None, ["Own", "Both", "overview"]),  # only topics without any internal publisher are left out
+        # A silent topic of an internal node is named in its picture.
         (["o", "t"], None, ["Own", "Both", "overview"]),
         (["t"], None, ["Own", "Outside", "Less", "Both", "overview"]),
         (["o"], 1, ["Own"]),
         ([], 3, ["Own", "Outside", "Less"]),
-        (["o"], 3, ["Own", "overview"]),  # fewer pictures than requested
+        (["o"], 3, ["Own", "overview"]),  # there are fewer pictures than requested
     ],
 )
 def test_each_plot_of_a_run_is_drawn_except_signals_that_never_arrived(monkeypatch, tmp_path, silent, most, drawn):
@@ -533,7 +535,7 @@ def test_a_legend_of_a_run_has_room_for_110_letters(monkeypatch):
     monkeypatch.setattr(pictures, "legend", lambda ax, curves, title, width, marks: widths.append(width))
     source = SimpleNamespace(shown=lambda entry, name: curve([0.0, 0.5, 3.0], label=name))
     pictures._time_figure(source, PlotEntry(title="It", signals={"a": "", "b": ""}), {})
-    pictures._time_figure(source, PlotEntry(title="It", signals={"a": ""}), {})  # one curve needs no legend
+    pictures._time_figure(source, PlotEntry(title="It", signals={"a": ""}), {})  # a single curve needs no legend
     assert widths == [110]
 
 

@@ -33,7 +33,7 @@ FROM_PIP = {re.match(r"[\w.-]+", word).group() for word in LINE.replace("'", "")
 BRINGUP = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 OWN = yaml.safe_load((ROOT / "config/rosdep.yaml").read_text())  # keys that rosdistro does not have
-SOURCES = {  # modules that a package of another name installs
+SOURCES = {  # modules whose package has another name
     "ruamel": "ruamel.yaml",
     "typing_extensions": "typing-extensions",
     "PIL": "pil",
@@ -48,11 +48,11 @@ SOURCES = {  # modules that a package of another name installs
 COMMON = configparser.ConfigParser()
 COMMON.read(ROOT / "ros_pkgs/softrig_core/setup.cfg")
 OWN_TESTS = (ROOT / "ros_pkgs/softrig_core/test/test_softrig_core.py").read_text()
-OTHERS = {"motulator", "gym_electric_motor", "jax"}  # compared with where somebody has installed them
+OTHERS = {"motulator", "gym_electric_motor", "jax"}  # optional: compared with softrig only where they are installed
 
 
-RELEASED = ("softrig_core", "softrig_nodes", "softrig_bags")  # packages that a distribution may include
-# Debian has it since trixie, but rosdistro has only the key of pip
+RELEASED = ("softrig_core", "softrig_nodes", "softrig_bags")  # packages that a ROS distribution may include
+# Debian has this package since trixie, but rosdistro only has a key for pip.
 WAITS_FOR = {"softrig_bags": ["python3-rosbags-pip"]}
 TEMPLATE = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup/template/package.xml.template"
 
@@ -84,7 +84,7 @@ def test_every_key_exists():
     files = [TEMPLATE, *(folder / "package.xml" for folder in PACKAGES)]
     used = {key for file in files for kind in ("exec", "test", "build") for key in depends(file, kind)} - packages
     assert used == {*KEYS["ros"], *KEYS["system"], *KEYS["pip"], *OWN}
-    for key, system in KEYS["system"].items():  # no key that rosdistro itself installs from pip
+    for key, system in KEYS["system"].items():  # rosdistro itself installs none of these keys from pip
         names = system["ubuntu"]["*"] if isinstance(system["ubuntu"], dict) else system["ubuntu"]
         assert names == [key]
 
@@ -164,7 +164,7 @@ def test_our_own_keys_match_the_projects_pip_requirements():
     for key, systems in OWN.items():
         name = key.removeprefix("python3-").removesuffix("-pip")
         pip = {"pip": {"packages": [wanted[name]]}}
-        if key in KEYS["system"]:  # Debian's version is too old there; on other systems rosdistro's entry applies
+        if key in KEYS["system"]:  # the versions of Debian bookworm and Ubuntu noble are too old
             assert systems == {s: {old: pip, "*": [key]} for s, old in (("debian", "bookworm"), ("ubuntu", "noble"))}
         else:
             assert systems == dict.fromkeys(("debian", "ubuntu"), pip)

@@ -67,7 +67,8 @@ def test_the_gallery_has_a_card_with_an_existing_picture_for_every_system(tmp_pa
     text = (tmp_path / "gallery/index.md").read_text()
     assert re.findall(r"^:link: (\w+)$", text, re.M) == list(outline.GALLERY)
     pictures = re.findall(r"^:img-top: (\S+)$", text, re.M)
-    assert pictures == [f"../pictures/{name}_drawing.svg" for name in outline.GALLERY]  # the site is built with all
+    # The build of the site draws these.
+    assert pictures == [f"../pictures/{name}_drawing.svg" for name in outline.GALLERY]
     gallery.thumbnail("tcp_aqm", tmp_path)
     assert "prefers-color-scheme:dark" in (tmp_path / "pictures/tcp_aqm_drawing.svg").read_text()
     assert {p.stem for p in (tmp_path / "gallery").glob("*.md")} == {*outline.GALLERY, "index"}
@@ -141,7 +142,7 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
     assert "lockstep" in words
 
     assert not re.search(r"<th[^>]*>(\s|</?p>)*</th>", (html / "reference/verbs.html").read_text())
-    assert '"latex"' in words  # a word that is on no page
+    assert '"latex"' in words  # "latex" occurs on no page, so the search must not have it
     violated = violations(html, tmp_path)
     assert not violated, violated
 

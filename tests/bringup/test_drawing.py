@@ -28,13 +28,13 @@ DRAWN = [
 ]  # fmt: skip
 
 
-# By unit: values that move a drawing within its sheet.
+# By unit: a value that moves a drawing while it stays within its sheet.
 SCALES = {"V": 60.0, "A": 6.0, "rad/s": 40.0, "rad": 1.0, "m": 0.08, "N m": 2.0, "Wb": 0.8, "": 0.7, "N": 20.0,
           "W": 40.0, "W/m^2": 900.0, "km": 80.0, "mm": 20.0, "MW": 80.0, "packet": 100.0, "deg": 30.0,
           "m/s": 0.3}  # fmt: skip
 
 
-FAR = (-600.0, 800.0)  # px: how far beyond its 640 by 380 a drawing reaches when all numbers are 10,000 or -10,000
+FAR = (-600.0, 800.0)  # px: how far a drawing may exceed its 640 by 380 px when all values are 10,000 or -10,000
 
 
 def check_alike(frames):
@@ -81,7 +81,7 @@ def test_frames_differ_only_in_places_radii_and_texts(name):
     numbers = [x for f in frames for s in f for p in points(s) for x in p]
     assert all(map(math.isfinite, numbers))
     assert {as_dict(s)["role"] for f in frames for s in f} <= PALETTE.keys()
-    # frames do not depend on what was drawn before
+    # A frame does not depend on the frames drawn before it.
     assert [drawing.frame(row, rows[:k]) for k, row in enumerate(rows)] == frames
 
 
@@ -92,7 +92,8 @@ def test_each_signal_of_a_drawing_moves_it_and_none_moves_it_off_its_sheet(name)
     before, last = rows[:-1], rows[-1]
     for signal in drawing.signals:
         most = 2.0 * max(abs(row[signal]) for row in rows)
-        turned = [last | {signal: value} for value in (most, 0.0, -most, 1e4 * most)]  # the last for a line of 345 kV
+        # The largest value is that of a 345 kV line.
+        turned = [last | {signal: value} for value in (most, 0.0, -most, 1e4 * most)]
         frames = [drawing.frame(row, [*before, row]) for row in turned]
         assert any(frame != frames[0] for frame in frames), signal
     for far in (1e4, -1e4):
@@ -140,7 +141,7 @@ def test_the_motor_turns_as_its_shaft_and_the_flux_arrow_follows_the_flux():
         for r in (still, up)
     ]
     assert tips == [(298.0, 180.0), (190.0, 72.0)]
-    # a quarter turn of the picture with one pair of poles is an eighth of the shaft's, which has two
+    # The picture has one pole pair and the machine two, so 90 degrees in the picture are 45 degrees of the shaft.
     marks = [
         next(
             s for s in drawing.frame({"joint_states/shaft/position": q}) if as_dict(s).get("fill") == s.role == "muted"
@@ -212,7 +213,7 @@ def test_an_svg_moves_without_a_script_and_contains_everything_once(shorted):
     assert {m.get("dur") for m in moving} == {"5.05s"}
     assert {len(m.get("values").split(";")) for m in moving} == {101}
     assert len(list(root.iter(f"{space}polyline"))) == sum(type(s).__name__ == "Line" for s in made.frames[0])
-    # the file refers to nothing on the network
+    # The file loads nothing from the network.
     assert "http" not in animated(made).replace("http://www.w3.org/2000/svg", "")
 
 
@@ -248,7 +249,7 @@ def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
     fewer, text = raster.pixels(made, "gif")
     assert text == "reduced to 32 colours and 6 frames"
     with Image.open(io.BytesIO(fewer)) as image:
-        assert (image.n_frames, image.info["duration"]) == (6, 100)  # as long as before
+        assert (image.n_frames, image.info["duration"]) == (6, 100)  # half the frames, each twice as long
     monkeypatch.setattr(raster, "LARGEST", 1000)
     with pytest.raises(ScenarioError, match=r"16 colours and 4 frames, expected at most 0\.001 MB: choose a shorter"):
         raster.pixels(made, "gif")

@@ -526,7 +526,7 @@ def test_a_pack_has_a_limit_of_size_and_number_of_files(files, size, fits, tmp_p
 
 
 def test_a_file_has_the_same_bytes_whoever_writes_it(tmp_path):
-    (tmp_path / "f").write_bytes(b"abc" * 500_000)  # more than a block
+    (tmp_path / "f").write_bytes(b"abc" * 500_000)  # longer than a block of the compressor
     made = pack._Pack({"bag/f": tmp_path / "f", "scenario/x.yaml": b"a: 1"}, packed.About(scenario="x"), ())
     for name in ("one", "two"):
         pack.write(made, tmp_path / f"{name}.zip")

@@ -59,7 +59,7 @@ def test_numbers_have_all_their_digits_and_measured_ones_six(value, as_written, 
     [
         (1.23456789, None, "1.23457"),
         (-1.23456789, 0.0, "−1.23457"),
-        (1.23456789, 0.1, "1.235"),  # to a hundredth of the tolerance
+        (1.23456789, 0.1, "1.235"),  # rounded to a hundredth of the tolerance
         (1.23456789, 0.05, "1.2346"),
         (1.23456789, 1.0, "1.23"),
         (-123.456, 10.0, "−123.5"),
@@ -317,8 +317,9 @@ def test_draws_are_named_by_the_common_part_of_their_names():
         (["run_1", "run_2", "run_3", "other"], ["lag"] * 4),
     ):
         assert several.groups(runs, named) == actual
-    assert several.groups(runs[:2], ["a-1", "a-2"]) == ["a-1", "a-2"]  # a band needs three
-    assert several.groups([*runs[:3], runs[0]], list("abcd")) == list("abcd")  # runs that differ only by their seed
+    assert several.groups(runs[:2], ["a-1", "a-2"]) == ["a-1", "a-2"]  # a band needs at least three runs
+    # The repeated run has no new seed, so these are no band.
+    assert several.groups([*runs[:3], runs[0]], list("abcd")) == list("abcd")
     for more in ({"error": "x"}, {"stopped": "x"}, {"code": {}}, {"mode": "processes"}):
         assert several.groups([*runs[:2], run(seed=5, **more)], ["a-1", "a-2", "a-3"]) == ["a-1", "a-2", "a-3"]
     last = [run(seed=k, parameters={"gain": {"k": 2.0}}) for k in range(3)]

@@ -179,7 +179,7 @@ def test_signals_and_figures_are_listed_as_expected(capsys):
         messages += capsys.readouterr().out.splitlines()
     (signature,) = (line for line in messages if line.startswith("final_value("))
     assert re.findall(r"\w+(?=:)", signature) == ["signals", "signal", "start", "end"]
-    messages.remove(signature)  # Python writes annotations in its own way
+    messages.remove(signature)  # the text of a signature depends on the version of Python
     check_expected("terminal/signals", messages)
     assert parts.list_figures("") == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
@@ -347,7 +347,7 @@ def options(*words):
         ((), {"same": False}, {}, 1),
         ((), {}, {"error": "x", "stopped": 2}, 3),
         ((), {"same": False}, {"stopped": 15}, 143),
-        (("--max-missed", "10"), {}, {"status": STATUS}, 0),  # just that many
+        (("--max-missed", "10"), {}, {"status": STATUS}, 0),  # exactly the number that the limit allows
         (("--max-missed", "9.9"), {}, {"status": STATUS}, 1),
     ],
 )

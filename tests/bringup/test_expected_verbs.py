@@ -265,7 +265,7 @@ def view(n=2, **more):
 
 
 def test_poles_and_margins_are_printed_as_expected(monkeypatch, capsys, tmp_path):
-    monkeypatch.setenv("COLUMNS", "400")  # the folder's name may be long
+    monkeypatch.setenv("COLUMNS", "400")  # wide enough for a long folder name
     messages, asked = [], []
     cases = {
         "a loop": ({}, []),
@@ -375,7 +375,7 @@ def test_an_operating_point_is_printed_with_what_drifts(monkeypatch, capsys):
     ("recorded", "line"),
     [
         ({}, "the same functions and packages"),
-        ({"python": "3.11.1"}, "the same functions and packages"),  # a rig with shipped blocks only
+        ({"python": "3.11.1"}, "the same functions and packages"),  # the rig has shipped blocks only
         ({"numpy": "0"}, "other packages"),
         ({"math": "0", "numpy": "0"}, "other functions of the C library"),
         ({"machine": "0", "math": "0"}, "another architecture"),
@@ -792,7 +792,7 @@ def test_a_broken_a_stopped_and_an_incomplete_run_are_reported(lag, monkeypatch,
         7,
         {"a": {}},
         "realtime",
-    )  # no ticks to miss
+    )  # without ticks none can be missed
     assert asked[0][:3] == (rig, 0, tmp_path)
     assert runs._plant_ticks(result) == 0  # the plant has published nothing
     result.status = {"plant": {"ticks": 5}}
@@ -1105,7 +1105,7 @@ def test_the_life_of_a_golden_bag_is_as_expected(tmp_path, monkeypatch, capsys):
     """Recorded, recorded again, with another length, checked here and as if elsewhere, and the file with its
     tolerances.
     """
-    # On a slow machine a sweep prints how far it is; here no machine is slow.
+    # A sweep prints its progress only on a slow machine; here no machine counts as slow.
     monkeypatch.setattr("softrig_optim.sweep.NEWS", math.inf)
     words = ["dc_motor_smc_b2", "--bags", str(tmp_path)]
     messages = []

@@ -316,14 +316,15 @@ def test_the_page_of_a_paused_run_is_as_expected(monkeypatch):
 @pytest.mark.parametrize(
     ("held", "pace", "names"),
     [
-        (None, None, ["window", "follow", "only forward"]),  # a plant outside, in real time
+        (None, None, ["window", "follow", "only forward"]),  # in real time with an external plant
         (True, None, ["window", "follow", "hold", "step", "only forward"]),
         (False, 0.0, ["window", "follow", "hold", "step", "pace", "only forward"]),
         (False, 3.0, ["window", "follow", "hold", "step", "pace", "only forward"]),
     ],
 )
 def test_a_run_that_cannot_be_paused_or_paced_has_no_button_for_it(monkeypatch, held, pace, names):
-    monkeypatch.setattr(Page, "_knob", lambda self, knob: None)  # expensive, and not part of this bar
+    # The parameter widgets are expensive and not part of this bar.
+    monkeypatch.setattr(Page, "_knob", lambda self, knob: None)
     monkeypatch.setattr(Page, "_write", lambda self: False)
     source, control = live(make(monkeypatch, plots=ONE), held=held, pace=pace)
     control.roles.clear()
@@ -487,7 +488,8 @@ def test_the_drawing_moves_in_equal_steps_between_updates(drawn):
     source, control = live(drawn, end=2.5)
     document, page = page_of(source, control, look="dark")
     text = named(document, "drawing")
-    assert (page._at, text.text) == (1.0, "1.456, 60 before it from 1.456, dark")  # the newest received value
+    # The frame shows the newest value received.
+    assert (page._at, text.text) == (1.0, "1.456, 60 before it from 1.456, dark")
     source.end, page._at, page._ahead = 0.0, 0.0, 0.0
     at = []
     for end in (0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.2):
@@ -496,7 +498,7 @@ def test_the_drawing_moves_in_equal_steps_between_updates(drawn):
         page.update()
         at.append(page._at)
     assert at == pytest.approx([0.04, 0.08, 0.1, 0.1, 0.18, 0.26, 0.2])
-    assert text.text == "1.263, 60 before it from 1.141, dark"  # 2 - 0.97^n m after n periods of the law
+    assert text.text == "1.263, 60 before it from 1.141, dark"  # the level 2 - 0.97^n m after n controller periods
     source.end, source.outcome = 0.4, "ended"
     named(document, "echo").text = named(document, "beat").text
     page.update()
@@ -517,11 +519,11 @@ def test_a_browser_that_has_not_shown_the_last_state_gets_no_other(drawn):
     page.update()
     assert (named(document, "beat").text, named(document, "hold").label) == ("2", "pause")
     named(document, "echo").text = "2"
-    page.update()  # the drawing is new
+    page.update()  # the first update draws
     named(document, "echo").text = "3"
-    page.update()  # nothing is new
+    page.update()  # the second has nothing to draw
     assert named(document, "beat").text == "3"
-    source.version += 1  # only the picture is new; the table is not due yet
+    source.version += 1  # a new frame only, as the table is not due yet
     page.update()
     assert named(document, "beat").text == "5"
 
@@ -557,7 +559,7 @@ def test_a_recording_is_played_at_its_pace_and_shows_its_values_at_the_cursor(dr
         for _ in range(frames):
             page.update()
             results.append(line.value)
-    # after its end, which is shown, the recording starts again
+    # After the end, which stays visible for a while, the recording starts again.
     assert results == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0, 0.05, 0.1, 0.104, 0.108, 0.308, 0.0])
     line.value = 0.2
     assert page._cursor.location == line.value

@@ -275,7 +275,8 @@ def test_a_run_is_named_changed_and_repeated_as_expected(monkeypatch):
         )
     check_expected("words_again", messages)
     long = parser().parse_args(["run", "x", *["--set", f"a.k={'1' * 200}"]])
-    assert re.fullmatch(r"x-[0-9a-f]{8}", run_options.folder_name("x", long))  # no half of a number
+    # A shortened name does not end within a number.
+    assert re.fullmatch(r"x-[0-9a-f]{8}", run_options.folder_name("x", long))
 
 
 def test_the_effect_of_options_on_a_scenario_is_as_expected(tmp_path):

@@ -66,13 +66,13 @@ def measure_of(space, name):
 @pytest.mark.long
 def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_response():
     response = simulate(loop([LOAD, 0.0], [0.0, PERIOD])).signals["motor/state/shaft/velocity"].x
-    bound = np.abs(response).sum()  # the largest response to any load torque of at most LOAD
+    bound = np.abs(response).sum()  # the largest response to any load torque bounded by LOAD
     space = space_of(loop([0.0] * PIECES), [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")])
     match = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1)
     assert 0.98 * bound < 1.0 - match.least < bound * (1.0 + 1e-9)
     assert match.runs <= 300
     at_random = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1, sampler="random")
-    assert (1.0 - at_random.least) < 0.8 * bound  # random search alone does not reach it
+    assert (1.0 - at_random.least) < 0.8 * bound  # random search alone does not come near the bound
     assert match.trace == sorted(match.trace, reverse=True)
 
 
@@ -134,7 +134,7 @@ def test_a_violation_is_reduced_parameter_by_parameter_fault_by_fault_step_by_st
 
     (small, changes), runs = shrink(space, worst, violates, 100)
     assert violates((small, changes))
-    assert small.faults == {}  # the noise was not needed
+    assert small.faults == {}  # the search removed the noise, which the violation does not need
     assert "noise.value" not in changes
     assert len(set(changes["plant.load_torques"])) < 3
     assert runs <= 100
@@ -199,7 +199,7 @@ def test_a_violation_is_a_scenario_file_that_repeats_with_the_same_bits(file, tm
     assert differences(read_bag(tmp_path / "a" / "worst" / "bag"), in_process(rig_of(worst))) == []
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     rows = (tmp_path / "b" / "rows.jsonl").read_text().splitlines(keepends=True)
-    (tmp_path / "b" / "rows.jsonl").write_text("".join(rows[:5]))  # killed after five runs
+    (tmp_path / "b" / "rows.jsonl").write_text("".join(rows[:5]))  # as if the search had been killed after five runs
     assert main([*command, "--out", str(tmp_path / "b")]) == 1
     assert outcome(tmp_path / "b")["trace"] == result["trace"]
     other = [*command, "--seed", "7", "--out", str(tmp_path / "b")]

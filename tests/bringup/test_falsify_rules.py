@@ -196,11 +196,11 @@ def test_for_one_number_optunas_estimator_proposes_four_points_at_a_time():
 
     search([1], measure, 24, seed=7)
     corners, *remaining = list(asked)
-    assert corners == [(0.0,), (1.0,)]  # one parameter has two corners only
+    assert corners == [(0.0,), (1.0,)]  # one parameter has only two corners
     for seed, batches in (
         (7, remaining[:4]),
         (8, remaining[4:]),
-    ):  # up to three quarters of the budget; restarted, because no corner is left
+    ):  # TPE uses up to three quarters of the budget and restarts because no corner remains
         study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=True))
         for batch in batches:
             trials = [study.ask({"u000": optuna.distributions.FloatDistribution(0.0, 1.0)}) for _ in range(4)]
@@ -290,7 +290,8 @@ def test_steps_are_tried_equal_to_their_neighbours_then_at_zero():
     course = Over(-1.0, 4.0, count=5, key="a/b/c", adds=True)
     seen, (_, left) = tried(of(course), {"profile_0.points": [1.0, 2.0, 2.0, 0.0, 3.0]})
     assert [changes["profile_0.points"] for _, changes in seen] == [
-        [1.0, 1.0, 1.0, 0.0, 3.0], [2.0, 2.0, 2.0, 0.0, 3.0],  # the first two levels at either
+        # Each of the first two levels takes the value of the other.
+        [1.0, 1.0, 1.0, 0.0, 3.0], [2.0, 2.0, 2.0, 0.0, 3.0],
         [1.0, 2.0, 2.0, 2.0, 3.0], [1.0, 0.0, 0.0, 0.0, 3.0],
         [1.0, 2.0, 2.0, 0.0, 0.0], [1.0, 2.0, 2.0, 3.0, 3.0],
         [0.0, 2.0, 2.0, 0.0, 3.0], [1.0, 0.0, 2.0, 0.0, 3.0], [1.0, 2.0, 0.0, 0.0, 3.0], [1.0, 2.0, 2.0, 0.0, 0.0],
@@ -306,7 +307,8 @@ def test_steps_are_tried_equal_to_their_neighbours_then_at_zero():
         (Over(-4.0, 0.0, count=2, key="a/b/c", adds=True), [[0.0, 3.0], [2.0, 0.0]]),
         (Over(1.0, 4.0, count=2, key="a/b/c", adds=True), []),  # zero is outside of its range
         (Over(-4.0, -1.0, count=2, key="a/b/c", adds=True), []),
-        (Over(-1.0, 4.0, count=2, key="a/b/c"), []),  # a fault that replaces a signal has an effect even at zero
+        # A fault that replaces a signal has an effect even with the value zero.
+        (Over(-1.0, 4.0, count=2, key="a/b/c"), []),
     ],
 )
 def test_only_values_inside_the_range_are_tried(over, zeros):
@@ -358,7 +360,8 @@ def test_a_parameter_is_moved_back_as_far_as_the_violation_lasts(over, nominal, 
         assert result == {over.key: left}
     else:
         distance = np.abs(np.array(result[over.key]) - left) / np.abs(np.subtract(worst, nominal))
-        assert (distance <= 1.0 / 4096.0 * (9.3 if over.log and nominal else 1.0)).all()  # 10^(4 / 4096) of 0.1
+        # One step of the bisection in log scale is a factor 10^(4 / 4096), here up to 9.3 times as far.
+        assert (distance <= 1.0 / 4096.0 * (9.3 if over.log and nominal else 1.0)).all()
         assert violates(result)
 
 

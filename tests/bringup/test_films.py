@@ -57,7 +57,7 @@ def test_a_frame_has_the_newest_value_of_each_signal_and_none_before_its_first()
     b = Signal(np.array([0.12]), np.array([-1.0]))
     made = film(shows(), {"a": a, "b": b, "other": a}, 0.0, 0.2, 1.0)
     rows = [frame[0][0] for frame in made.frames]
-    assert [row["a"] for row in rows] == [1.0, 1.0, 2.0, 3.0, 4.0]  # both rows are of the same instant, up to rounding
+    assert [row["a"] for row in rows] == [1.0, 1.0, 2.0, 3.0, 4.0]  # up to rounding, both rows have the same instant
     assert [math.isnan(row["b"]) for row in rows] == [True, True, True, False, False]
     assert [set(row) for row in rows] == [{"a", "b"}] * 5
 
@@ -72,7 +72,7 @@ def test_a_trail_has_the_sixty_rows_before_each_frame():
         assert [p["a"] for p in past] == pytest.approx(wanted, abs=1e-9)
         assert len(past) == 60
     early = film(shows(trail=1.2), {"a": Signal(t, t)}, 0.5, 0.6, 0.5)
-    assert [frame[0][1][0]["a"] for frame in early.frames] == [0.0] * 5  # no frame before the start of the run
+    assert [frame[0][1][0]["a"] for frame in early.frames] == [0.0] * 5  # no frame lies before the start of the run
     assert [len(frame[0][1]) for frame in early.frames] == pytest.approx([25, 26, 27, 29, 30], abs=1)
 
 
@@ -136,7 +136,7 @@ def test_a_film_as_svg_is_as_expected():
         [Line(((0.0, 0.0), (5.0, 5.0)), "muted", 1.0, True)] * 5,
         series(lambda x: square(5.0 + x, 7.0 + 2 * x), steps),
         series(lambda x: Line(((0.0, 0.0), (10.0, x)), "second"), steps),
-        series(lambda x: square(5.0 + 10 * x, 7.0), steps),  # 50 in one frame
+        series(lambda x: square(5.0 + 10 * x, 7.0), steps),  # it moves by 50 px within one frame
         series(lambda x: Line(((0.0, 0.0), (10.0, 10 * x))), steps),
         series(lambda x: Circle((50.0, 20.0 + x), 3.0 + x, "third", "third", 0.0), steps),
         series(lambda x: Circle((10 * x, 20.0), 3.0), steps),
@@ -178,7 +178,7 @@ def test_a_shape_is_shifted_as_a_whole_within_rounding(off, shift, where):
 
 
 def test_a_text_stays_for_four_frames_and_is_reused():
-    # c appears within the four frames of another text, so it is not shown
+    # A text stays for four frames, so "c" within the four frames of "b" is not shown.
     texts = ["a"] * 4 + ["b"] * 3 + ["c"] + ["a"] * 2
     (_, _, _, _, group) = moving([[Text((20.0, 30.0), text, size=10.0)] for text in texts])
     (text,) = group
@@ -259,13 +259,13 @@ def inked(image, role):
 
 def test_a_line_has_its_points_and_its_width():
     image = drawn(Line(((30.0, 40.0), (90.0, 40.0)), "alarm", 4.0))
-    assert inked(image, "alarm") == pytest.approx((28, 38, 92, 42), abs=1)  # its ends are round
+    assert inked(image, "alarm") == pytest.approx((28, 38, 92, 42), abs=1)  # the line has round ends
     assert shade(image, 60.5, 40.5) == "alarm"
     assert {shade(image, 60.5, y) for y in (36.5, 43.5)} == {"paper"}
     assert shade(image, 28.5, 38.5) != "alarm"
     thin = drawn(Line(((30.0, 40.0), (90.0, 40.0)), "alarm", 0.2))
     assert inked(drawn(Line(((30.0, 40.0), (30.0, 70.0)), "line", 1.0)), "line")[1::2] == pytest.approx((40, 70), abs=1)
-    # a line of 0.2 px is still visible
+    # A line of 0.2 px stays visible.
     assert min(thin.getpixel((50, y))[1] for y in range(15, 25)) < 220
     assert drawn(Line(((30.0, 40.0), (90.0, 40.0)), "alarm", 0.0)).getcolors() == [(6000, colour("paper"))]
 
@@ -285,7 +285,7 @@ def test_a_polygon_is_filled_and_its_edge_closed():
 
 def test_a_circle_is_round_its_centre():
     both = drawn(Circle((60.0, 50.0), 12.0, "alarm", "faint", 3.0))
-    assert inked(both, "alarm") == pytest.approx((46.5, 36.5, 73.5, 63.5), abs=1)  # half of its edge is outside
+    assert inked(both, "alarm") == pytest.approx((46.5, 36.5, 73.5, 63.5), abs=1)  # half of the edge lies outside
     assert shade(both, 60.5, 50.5) == "faint"
     ring = {shade(both, 60 + 12.0 * math.cos(a), 50 + 12.0 * math.sin(a)) for a in np.arange(0.0, 6.2, 0.4)}
     assert ring == {"alarm"}
@@ -304,7 +304,8 @@ def test_a_text_is_anchored_at_its_start_middle_or_end_above_its_baseline():
     lefts, rights = [box[0] for box in boxes], [box[2] for box in boxes]
     assert [lefts[0], (lefts[1] + rights[1]) / 2, rights[2]] == pytest.approx([60, 60, 60], abs=1.6)
     assert {box[3] for box in boxes} == {50}
-    assert [box[3] - box[1] for box in boxes] == pytest.approx([0.73 * 13.0] * 3, abs=1)  # DejaVu's capitals
+    # Height of capital letters in DejaVu.
+    assert [box[3] - box[1] for box in boxes] == pytest.approx([0.73 * 13.0] * 3, abs=1)
     large = inked(drawn(Text((30.0, 60.0), "HHH", "line", 26.0)), "line")
     assert large[3] - large[1] == pytest.approx(0.73 * 26.0, abs=1)
 
@@ -330,7 +331,7 @@ def test_a_moving_picture_repeats_frames_of_a_twentieth_of_a_second(form, durati
         image.load()
         assert (image.info["duration"], image.info["loop"]) == (duration, 0)
         shown = image.convert("RGB")
-    # the third of the trail's colours, 8 px to the side
+    # The trail fades: 8 px to the side it has the third of its colours.
     assert shown.getpixel((13, 15)) == pytest.approx(colour("faint"), abs=4)
     assert shown.getpixel((3, 15)) == pytest.approx(colour("paper"), abs=4)
 

@@ -66,17 +66,17 @@ class User:
         prefixes = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_", "XDG_")
         keep = {k: v for k, v in os.environ.items() if not k.startswith(prefixes)}
         self.environment = keep | {"COLUMNS": "60", "HOME": str(home)}
-        # a checkout with a space in its path keeps its set-up in the cache of the user who made it
+        # A checkout with a space in its path has its environment in the cache of the user who made it.
         if " " in str(SOFTRIG):
             cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
             self.environment["XDG_CACHE_HOME"] = cache
         self.become = []
-        if os.geteuid() == 0:  # otherwise the tests already run as an unprivileged user
+        if os.geteuid() == 0:  # otherwise the tests already run without root's privileges
             self.become = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"]
             another = [f"--reuid={UID}", f"--regid={UID}", "--clear-groups"]
             again = "import subprocess, sys; sys.exit(subprocess.run([sys.executable, '-c', '']).returncode)"
             python = subprocess.run([*self.become, *another, sys.executable, "-c", again], capture_output=True)
-            if not python.returncode:  # root's Python may be in root's home, which other users cannot read
+            if not python.returncode:  # root's Python may lie in root's home, which other users cannot read
                 self.become += another
                 for place in (folder, home, self.folder):
                     os.chown(place, UID, UID)
@@ -91,7 +91,8 @@ class User:
 
 @pytest.fixture(scope="module")
 def user():
-    with tempfile.TemporaryDirectory(prefix="softrig-first-hour-") as folder:  # pytest's own are closed to others
+    # Other users cannot enter pytest's temporary folders.
+    with tempfile.TemporaryDirectory(prefix="softrig-first-hour-") as folder:
         yield User(Path(folder))
 
 
@@ -160,7 +161,7 @@ def test_the_package_runs_immediately_in_both_lockstep_modes(user, package):
         user(f"{command} {mode} --out {mode}")
         content = json.loads((package / mode / "metrics.json").read_text())
         figures.append(content["metrics"])
-        if mode == "inprocess":  # from any folder
+        if mode == "inprocess":  # the printed command works in any folder
             out, _ = user(f"cd / && {content['command']} --no-plots")
             assert f"results in {package / mode}".replace(" /", " ") in " ".join(out.split())
     assert figures[0] == figures[1]
@@ -217,7 +218,8 @@ def test_a_run_of_a_users_package_is_repeated_elsewhere(user, package):
     away = package.with_name("away")
     package.rename(away)
     try:
-        _, text = user(f"'{SOFTRIG}' run --like sent.zip --no-plots --out again")  # through processes
+        # `--like` repeats the run in processes.
+        _, text = user(f"'{SOFTRIG}' run --like sent.zip --no-plots --out again")
         assert "sent.zip brings heater: code of who has made it runs here" in text
         assert "repeats sent.zip number for number: 1001 messages on 2 topics" in text.splitlines()[-1]
         _, text = user(f"'{SOFTRIG}' run --like mine --no-plots", status=2)

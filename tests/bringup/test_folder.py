@@ -71,7 +71,7 @@ def test_the_remains_of_a_killed_run_do_not_stop_another(tmp_path):
     (out / "log/plant.shard").write_text("of a run that was killed here")
     assert main([*RUN, "--out", str(out), "--no-plots"]) == 0
     assert names(out) == ["bag/bag_0.mcap", "bag/metadata.yaml", "metrics.json", "mine/notes.txt", MANIFEST]
-    (out / "report.html").write_text("theirs")  # a user's file, stored here after the run
+    (out / "report.html").write_text("theirs")  # a file that the user added after the run
     with pytest.raises(ScenarioError, match="was not written by a run of softrig"):
         ResultsFolder(out)
 
@@ -86,7 +86,7 @@ def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, cap
         if shard:
             (out / "log").mkdir()
             (out / "log" / "plant.shard").write_text("an hour of a run that was killed here")
-        assert main([*RUN, "--no-plots", "--no-record"]) == 0  # if no result exists yet, the run is stored in its place
+        assert main([*RUN, "--no-plots", "--no-record"]) == 0  # the run is stored where no result exists yet
         assert (out / "metrics.json").is_file() != shard
     text = f"its run cannot be made again (in real time, and broken off: softrig bag repair {out / 'log'})"
     assert text in capsys.readouterr().err
@@ -98,7 +98,7 @@ def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, cap
 @pytest.mark.parametrize(
     ("note", "why"),
     [
-        (encode(TICK, "/dc_motor_smc", {"delta": 3.0}), ""),  # the value that the scenario already has
+        (encode(TICK, "/dc_motor_smc", {"delta": 3.0}), ""),  # the scenario's value again, so nothing has changed
         (encode(TICK, "/dc_motor_smc", {"delta": 2.0}), "parameters were changed while it ran"),
         (b"damaged", "parameters may have been changed while it ran"),
     ],
@@ -189,7 +189,7 @@ def test_a_folder_that_is_being_written_belongs_to_one_call(tmp_path, monkeypatc
     first.clear()
     assert main([*RUN, "--duration", "0.1", "--no-plots", "--out", "runs/dc_motor_smc_b2"]) == 2
     assert f"process {os.getpid()} is writing there; expected another folder\n" in capsys.readouterr().err
-    assert main([*RUN, "--no-plots"]) == 0  # the folder's name is taken, so the run is stored beside it
+    assert main([*RUN, "--no-plots"]) == 0  # the folder's name is in use, so the run is stored beside it
     assert "this run goes to runs/dc_motor_smc_b2-2" in capsys.readouterr().err
     assert names(first.path) == [MANIFEST]
     first.close()
@@ -259,7 +259,7 @@ def test_a_fork_does_not_hold_the_folder_of_its_parent(tmp_path):
         os._exit(0)
     try:
         assert os.read(ready, 1) == b"1"
-        assert other.hold() is not None  # the lock still holds after the child, which inherited it, has ended
+        assert other.hold() is not None  # a child that inherited the lock must not release it when it ends
         folder.let_go()
         assert other.hold() is None
         other.let_go()

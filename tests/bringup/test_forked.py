@@ -51,7 +51,7 @@ def test_fails(kept):
 def run(folder, *options):
     """Return what pytest writes about the tests of a folder, without times, and its status."""
     environment = os.environ | {"PYTHONPATH": f"{TESTS}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-    environment.pop("PYTEST_ADDOPTS", None)  # options for the run around would change what this one writes
+    environment.pop("PYTEST_ADDOPTS", None)  # pytest options of the outer run would change what this run writes
     command = [sys.executable, "-m", "pytest", "-q", "-rA", "-p", "no:xdist", "-p", "forked", "-p", "no:cacheprovider",
                *options]  # fmt: skip
     ran = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)

@@ -26,7 +26,7 @@ RUN, VERB = "softrig_bringup.run.run", "softrig_bringup.verbs.run_verb"
 PICTURES = (
     "figures and bag are in r, pictures and report are not; `softrig report r --out r/report.html` makes a report"
 )
-PHASES = {  # phases of the end: the function called in each, and what the line says
+PHASES = {  # phases of the end of a run: the function called in each, and the line expected
     "figures": (f"{VERB}.summary", PICTURES),
     "bag": (f"{RUN}.write_bag", PICTURES),
     "pictures": (f"{RUN}.plot_run", PICTURES),
@@ -47,7 +47,7 @@ def lag(tmp_path, monkeypatch):
     )
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(f"{RUN}.plot_run", lambda *_, **__: [])  # pictures and page are tested elsewhere
+    monkeypatch.setattr(f"{RUN}.plot_run", lambda *_, **__: [])  # other tests cover pictures and page
     monkeypatch.setattr(f"{RUN}.write_report", lambda folders, page: page.touch())
 
 
@@ -136,7 +136,7 @@ def in_a_launch(monkeypatch, capsys):
         (door, phase)
         for door in ("run", "view", "launch")
         for phase in (*BEFORE, *PHASES)
-        if phase != "native" or door == "run"  # the page and the nodes have loops of their own
+        if phase != "native" or door == "run"  # `view` and `launch` run their nodes by other loops
     ],
 )
 def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
@@ -164,7 +164,7 @@ def test_the_command_of_the_line_makes_what_is_missing(monkeypatch, tmp_path):
     page = (tmp_path / "r/report.html").read_text()
     assert "This run has no pictures" not in page
     assert page.count("<figure>") >= 2
-    assert in_a_run() == 1  # the remaining files do not prevent the next run
+    assert in_a_run() == 1  # files left behind do not prevent the next run
 
 
 def test_recordings_of_nodes_are_named_if_their_run_was_not_written(monkeypatch, capsys, tmp_path):

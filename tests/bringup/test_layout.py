@@ -111,7 +111,8 @@ def test_a_set_up_without_a_network_works(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "uv could not" not in (present / ".ws" / "setup.log").read_text()
     assert softrig("setup", "tables", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 0
-    assert softrig("setup", "search", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 2  # not fetched
+    # The package was not downloaded.
+    assert softrig("setup", "search", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 2
     assert softrig("python", "-c", "import pyarrow").returncode == 0
 
 
@@ -138,7 +139,7 @@ def test_requirements_are_pinned_with_hashes():
 
 def test_every_dependency_has_its_reason_beside_it():
     text = (ROOT / "pyproject.toml").read_text().partition("dependencies = [")[2].partition("[tool.")[0]
-    block = False  # a block of dependencies has one reason, in its first line
+    block = False  # the reason of a block of dependencies is in its first line
     for line in text.splitlines():
         if line.strip().startswith('"') and not block:
             assert " # " in line, line

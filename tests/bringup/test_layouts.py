@@ -13,7 +13,7 @@ from softrig_bringup.cli import main
 from softrig_bringup.verbs.layouts import files
 from softrig_core import ScenarioError, load_scenario, rig_of, simulate
 
-# Of each system the scenario that the README names or, if it has no plots, the one with the system's name.
+# For each system the scenario named by the README or, if it has no plots, the one named as the system.
 SHOWN = {name: scenario if load_scenario(scenario).plots else name for name, (scenario, _) in sentences().items()}
 
 
@@ -48,7 +48,7 @@ def value(message, path):
     return float(message)
 
 
-# JointState and trajectory; wrench; vector; array
+# Message types: JointState and trajectory; wrench; vector and array.
 @pytest.mark.parametrize("name", few(["induction_dtc_short", "rehab_impedance_r5", "fault_location_m4k"], 2))
 def test_the_paths_lead_to_the_values_of_the_signals(name):
     recording, signals = run(name).recording, run(name).signals

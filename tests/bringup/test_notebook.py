@@ -78,7 +78,7 @@ def test_signals_are_plotted_by_name_in_their_units(run):
     volts, speed = figure.axes
     assert (volts.get_ylabel(), speed.get_ylabel()) == ("Voltage, V", "Speed, rad/s")
     assert volts.get_xlim() == (0.1, 0.2)
-    assert figure._repr_png_().startswith(b"\x89PNG")  # a cell shows it, with or without pyplot
+    assert figure._repr_png_().startswith(b"\x89PNG")  # a notebook shows the figure with and without pyplot
     assert len(run.plot().axes) >= 1
     with pytest.raises(ScenarioError, match="no signal 'motor/speed'"):
         run.plot("motor/speed")
@@ -98,7 +98,7 @@ def test_signals_become_a_data_frame_with_units(run):
 def test_the_only_field_of_a_channel_may_be_left_out(run):
     assert np.array_equal(run.signals[SHORT].x, run.signals[WHOLE].x)
     with pytest.raises(KeyError, match="no signal 'shaft' on motor/state; it has shaft/position, shaft/velocity"):
-        run.signals["motor/state/shaft"]  # the name is ambiguous
+        run.signals["motor/state/shaft"]  # several parts of the topic have this name
     assert full_name("a/b", ["a/b/x", "a/b/y"]) == "a/b"
     scenario = load_scenario("dc_motor_smc_b2")
     plots = (scenario.plots[0].model_copy(update={"signals": {SHORT: "volts"}}),)

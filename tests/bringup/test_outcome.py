@@ -198,7 +198,7 @@ def test_a_case_is_a_scenario_file_that_lists_its_changes(space, tmp_path):
         {"last": {"at_most": 0.4}},
     )
     assert small["title"] == "Lag: low, small case found"
-    assert small["faults"]["noise"] is None  # the one that it extends has it
+    assert small["faults"]["noise"] is None  # it switches off the noise of the scenario that it extends
     assert small["nodes"] == {"gain": {"parameters": {"k": 2.5}}}
     for kind, case in (("worst", outcome.case), ("small", outcome.small)):
         loaded = _standing_alone(scenario_file(task(), kind, case, outcome), tmp_path / "x.yaml")

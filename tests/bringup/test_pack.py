@@ -241,7 +241,7 @@ def test_a_file_that_unpacks_to_more_than_fits_is_refused(tmp_path, monkeypatch)
     monkeypatch.setattr(packed, "MOST", 1 << 19)
     with pytest.raises(ScenarioError, match=r"2 files of \d+ bytes in all, expected at most 10000 of 524288"):
         packed.unpack(bomb, tmp_path / "new")
-    # An entry with a wrong size is read up to the declared size only.
+    # If the declared size of an entry is wrong, only that many bytes are read.
     monkeypatch.undo()
     data = bytearray(bomb.read_bytes())
     for head in (b"PK\x03\x04", b"PK\x01\x02"):
@@ -262,6 +262,6 @@ def test_a_damaged_file_is_one_line(run, tmp_path, capsys):
     sent.write_bytes(data)
     assert main(["run", "--like", str(sent)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-    sent.write_bytes(data[:1000])  # no zip at all
+    sent.write_bytes(data[:1000])  # too short for a zip file
     assert main(["run", "--like", str(sent)]) == 2
     assert "or a file of `softrig pack`" in capsys.readouterr().err

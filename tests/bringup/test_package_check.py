@@ -72,7 +72,8 @@ def point(target, monkeypatch):
 
 
 def test_a_sound_block_passes_and_one_without_defaults_is_reported(monkeypatch):
-    assert check_entry_point(point(Block.update, monkeypatch)) == ""  # a function, a tool
+    # An executable that is a plain function counts as a tool.
+    assert check_entry_point(point(Block.update, monkeypatch)) == ""
     for block, left in ((Steady, ""), (Needs, "it has no defaults to begin with: parameter k")):
         main = lambda: None  # noqa: E731
         main.block = block

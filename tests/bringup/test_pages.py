@@ -84,8 +84,8 @@ ANIMATIONS = {
 }
 
 
-# Each daily film shows another kind of plant. A change of the drawing code shows in all films, a change of a run in the
-# golden bags.
+# Each daily film shows another kind of plant. A change of the drawing code shows in every film, and golden bags
+# detect a change of the run.
 DAILY = ("manipulator_adsmc",)
 
 
@@ -236,7 +236,7 @@ def test_the_page_of_names_has_exactly_all_nodes_and_commands():
 
 def test_a_stale_page_is_reported_and_updated(tmp_path, capsys):
     source = next(ROOT / page for page in GENERATED if "| `period` |" in (ROOT / page).read_text())
-    (tmp_path / "tests").symlink_to(ROOT / "tests")  # sources of its numbers
+    (tmp_path / "tests").symlink_to(ROOT / "tests")  # numbers on the page cite tests as their source
     page = tmp_path / "page.md"
     page.write_text(source.read_text().replace("| `period` |", "| `periode` |", 1))
     assert pages.main([str(page), "--check"]) == 1
@@ -254,7 +254,7 @@ def test_every_package_of_a_set_up_is_listed_under_its_licence():
         for name in row.split("|")[2].strip().split(", ")
     }
     lock = (ROOT / "scripts/locks/run.lock").read_text()
-    # packages that are installed on every machine
+    # packages installed on every machine
     assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= entries.keys()
     assert entries["casadi"] == "LGPL-3.0-or-later"
 
@@ -301,7 +301,7 @@ def test_the_worked_example_of_the_scenario_file_runs(tmp_path, monkeypatch):
     assert len(parts) == 5
     file = tmp_path / "mine.yaml"
     monkeypatch.chdir(tmp_path)
-    for k in range(1, len(parts) + 1):  # the site is checked after every step
+    for k in range(1, len(parts) + 1):  # the example works after every step
         file.write_text("".join(parts[:k]))
         assert main(["run", "mine.yaml", "--mode", "inprocess", "--no-plots", "--no-record"]) == 0, parts[k - 1]
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))

@@ -21,7 +21,7 @@ def test_a_column_has_the_decimals_that_its_largest_uncertainty_allows():
     assert RISE.cells() == [("0.798", "0.010"), ("0.419", "0.004"), ("", "")]
     assert PEAK.cells() == [("8", ""), ("never", ""), ("1234", "")]
     assert Column("a", "", [123456.0], [4321.0]).cells() == [("123500", "4300")]
-    assert Column("a", "", [0.5], [0.0999]).decimals == 2  # 0.10, not 0.100
+    assert Column("a", "", [0.5], [0.0999]).decimals == 2  # two digits: 0.10, not 0.100
     assert Column("a", "", [0.0, 0.0]).cells() == [("0", ""), ("0", "")]
 
 

@@ -120,7 +120,7 @@ def test_null_is_refused_as_a_node_refuses_it(tmp_path, word):
         params_of(file, NODES)
 
 
-MISREAD = [  # texts that rcl 9.2 reads differently from YAML; they are refused here with the reason
+MISREAD = [  # texts that rcl 9.2 reads differently from YAML, so softrig refuses them with the reason
     ("/left: {plant/x: {ros__parameters: {k: 1}}, ros__parameters: {k: 2}}", {"plant.k": 2}, "rcl misreads"),
     ("/left: {plant/: {}, ros__parameters: {k: 2}}", {"plant.k": 2}, "rcl misreads"),
     ("law: {ros__parameters: {k: !!str 1}}", {}, "has the tag tag:yaml.org,2002:str"),

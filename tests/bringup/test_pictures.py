@@ -155,10 +155,11 @@ def coloured(ax, colour):
 def test_expected_and_published_values_are_drawn_where_the_signal_shows_them(drawn):
     (ax,) = drawn(scenario())["Position"].axes
     accepted, published = coloured(ax, ACCEPTED), coloured(ax, PUBLISHED)
-    for x0, y0, x1, y1 in ((0.0, 0.4, 1.0, 0.5), (0.5, 0.25, 1.0, 0.35)):  # last and mean, each in its window
+    # The windows of the last value and of the mean.
+    for x0, y0, x1, y1 in ((0.0, 0.4, 1.0, 0.5), (0.5, 0.25, 1.0, 0.35)):
         assert any(b == pytest.approx((x0, y0, x1, y1)) for b in accepted), accepted
     assert any((b[0], b[2]) == pytest.approx((0.8, 1.0)) for b in accepted)  # the accepted interval of the rise time
-    assert any((b[1], b[3]) == pytest.approx((0.5, 0.5)) for b in accepted)  # the level of no overshoot
+    assert any((b[1], b[3]) == pytest.approx((0.5, 0.5)) for b in accepted)  # the level of an overshoot of zero
     assert any(b == pytest.approx((0.0, 0.4, 1.0, 0.4)) for b in published)
     assert any((b[0], b[2]) == pytest.approx((0.8, 0.8)) for b in published)
     assert {t.get_text() for t in ax.get_legend().get_texts()} == {"position", "accepted", "limit", "published"}
@@ -179,7 +180,7 @@ def test_a_distant_mark_does_not_compress_the_curves(drawn):
 
 
 def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
-    rig = rig_of("rehab_impedance")  # errors in rad, their figures in deg
+    rig = rig_of("rehab_impedance")  # the errors are in rad and their figures in deg
     t = np.linspace(0.0, 10.0, 11)
     marks = marks_of(rig, {"controller_state/e_hip/position": (t, -1e-4 * (t == 5.0))})
     (mark,) = (m for m in marks["controller_state/e_hip/position"] if m.name == "max_error_after_3_s_hip")
@@ -241,7 +242,7 @@ def test_no_panel_is_empty(count):
     assert len(spots) == count
     assert not any(a.overlaps(b) for i, a in enumerate(spots) for b in spots[:i])
     right, left = max(s.x1 for s in spots), min(s.x0 for s in spots)
-    for y in {s.y0 for s in spots}:  # every row goes from one side to the other
+    for y in {s.y0 for s in spots}:  # each row moves from one side to the other
         row = [s for s in spots if s.y0 == y]
         assert (min(s.x0 for s in row), max(s.x1 for s in row)) == pytest.approx((left, right))
 
@@ -294,7 +295,7 @@ def test_parallel_nodes_are_side_by_side_and_the_first_named_is_on_top(to, resul
 
 
 def test_many_nodes_are_arranged_quickly():
-    names = [f"n{k}" for k in range(60)]  # each reads all before it: 2^58 ways lead to the last one
+    names = [f"n{k}" for k in range(60)]  # node k reads all nodes before it: 2^58 paths lead to the last
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "n59") for n in names}
     wires = tuple(Wire(topic=n, type="T", source=n, readers=tuple(names[k + 1 :])) for k, n in enumerate(names[:-1]))
     assert columns(Wiring(nodes=nodes, wires=wires)) == [[n] for n in names]
@@ -321,11 +322,11 @@ def test_the_diagram_has_every_node_and_wire_of_a_system(name):
     assert {g.get("data-node") for g in drawing.iter("g")} - {None} == set(wiring.nodes)
     wires = {g.get("data-topic"): g for g in drawing.iter("g") if g.get("data-topic")}
     assert set(wires) == {w.topic for w in wiring.wires}
-    for wire in wiring.wires:  # an arrow into each reader
+    for wire in wiring.wires:  # each subscriber has an arrow
         heads = [p for p in wires[wire.topic].iter("path") if p.get("class") == "head"]
         assert len(heads) == len(wire.readers), wire
     pieces = [(topic, piece) for topic, group in wires.items() for piece in segments(group)]
-    for k, (topic, (a, b)) in enumerate(pieces):  # wires cross, but none runs on another's line
+    for k, (topic, (a, b)) in enumerate(pieces):  # wires may cross, but none covers another
         for other, (c, d) in pieces[:k]:
             for i, j in ((0, 1), (1, 0)):
                 level = a[i] == b[i] == c[i] == d[i]
@@ -425,14 +426,14 @@ def test_runs_are_named_by_folder_or_label(folders, labels, labels_of_user, resu
     ("changes", "banded"),
     [
         ([{"seed": 0}, {"seed": 1}, {"seed": 2}], True),
-        ([{"seed": 0}] * 3, False),  # runs without any difference are no draws
+        ([{"seed": 0}] * 3, False),  # identical runs are not draws
         ([{"seed": s, "code": {"my_laws": f"{s}"}} for s in range(3)], False),
         ([{"seed": s, "parameters": {"gain": {"k": s}}} for s in range(3)], False),
         ([{"seed": s, "versions": {"machine": "arm" if s else "x86"}} for s in range(3)], False),
         ([{"seed": 0}, {"seed": 1}, {"seed": 2, "error": "gone"}], False),
         ([{"seed": 0}, {"seed": 1}, {"seed": 2, "stopped": "stopped by SIGINT"}], False),
         ([{"seed": s, "duration_s": 1.0 + s} for s in range(3)], False),
-        ([{"seed": s, "code": {}} for s in range(3)], False),  # runs of a version that did not record the code
+        ([{"seed": s, "code": {}} for s in range(3)], False),  # runs of a version that did not record its code
         (
             [
                 {"seed": s, "wiring": {"nodes": {"gain": {"executable": "a/b", "period": 1.0, "outside": True}}}}
@@ -501,7 +502,7 @@ def test_versions_of_code_are_distinguished_by_files_and_their_imports(tmp_path,
         (tmp_path / name / "__init__.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     for function in ("_folder", "_package", "_is_own"):
-        # without the cache, as in a new process
+        # The cache would hide the change; a new process has none.
         monkeypatch.setattr(code, function, getattr(code, function).__wrapped__)
     law = importlib.import_module("softrig_a_law").Law
     before = code.fingerprints([law])
@@ -648,10 +649,10 @@ def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
     assert "<td>one, dc_motor_plant.R=0.6, duration 0.5</td>" in re.sub(" data-label=.*?>", ">", page)
     assert 'href="https://doi.org/10.18196/jrc.26140"' in page
     assert "differs" in page
-    assert "✗" not in page  # changed runs are compared, not judged
+    assert "✗" not in page  # a changed run is compared, not judged
     assert "@article{maarif2021," in page
     assert page.count('class="diagram"') == 2
-    assert page.count('class="plot"') == 5  # one picture that overlays both runs and two of each run
+    assert page.count('class="plot"') == 5  # one picture overlays both runs, and each run has two of its own
     assert "<style>@media" not in page  # the style occurs once, in the head of the page
 
 
@@ -669,7 +670,7 @@ def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():
     (low,) = [r for r in run.results if r.name == "low"]
     assert (mark.axis, mark.start, mark.end) == ("violated", *low.violated_s[0])
     assert low.violated_s[0][0] <= low.at_s <= low.violated_s[0][1]
-    # Known results are not judged again.
+    # Requirements that are already judged are not judged again.
     known = low.model_copy(update={"violated_s": ((0.25, 0.5),)})
     (mark,) = marks_of(rig, run.signals, [known])["lag/state/x/position"]
     assert (mark.start, mark.end) == (0.25, 0.5)

@@ -43,9 +43,9 @@ def test_the_first_gear_agrees_with_an_independent_implementation(bench):
     *_, car = bench
     result = car.drive(np.full(car.SEGMENTS, 100.0), np.zeros(car.SEGMENTS))
     t = np.arange(len(result)) * car.PERIOD
-    first = result[:, 0] < car.UP[-1, 0]  # mph up to which it stays in first gear
+    first = result[:, 0] < car.UP[-1, 0]  # mph, up to which the car stays in first gear
     ratio = result[:, 0] / car.MPH * 3.23 * 2.393 / result[:, 1]
-    # numpy's interpolation does not extrapolate beyond the tables
+    # numpy's interpolation does not extrapolate beyond the tables.
     first[np.argmin(first & (ratio < car.RATIOS[-1])) :] = False
 
     def slopes(_, x):
@@ -67,7 +67,7 @@ def test_cars_keep_the_distances_of_their_modes(bench):
     cars, *_ = bench
     y = cars.drive(np.full(cars.SEGMENTS, 0.0), np.zeros(cars.SEGMENTS))
     assert np.all(y[:, 0] == 0.0)  # the first car has no throttle
-    assert np.all(y[:, 1] == 10.0)  # at a distance of 10 m it keeps its speed of zero
+    assert np.all(y[:, 1] == 10.0)  # the second car keeps its distance of 10 m, since its speed is zero
     y = cars.drive(np.ones(cars.SEGMENTS), np.zeros(cars.SEGMENTS))
     t = np.arange(len(y)) * cars.PERIOD
     assert y[:, 0] == pytest.approx(-(t**2) / 2.0, abs=1e-6)  # full throttle, no brake

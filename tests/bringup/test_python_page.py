@@ -19,7 +19,7 @@ def test_the_loop_of_the_page_runs_and_settles_where_it_states(blocks, capsys):
     known = {"__name__": "page"}
     exec(blocks[0], known)
     assert capsys.readouterr().out == "1.0000 m\n"
-    # at rest the pump of 2 V and the outflow of 0.1 sqrt(1) agree
+    # At rest the pump of 2 V and the outflow of 0.1 sqrt(1) balance.
     assert known["height"][-1] == pytest.approx(1.0, abs=1e-4)
     code = blocks[0][blocks[0].index("class Tank") : blocks[0].index("print")]
     assert sum(1 for line in code.splitlines() if line.strip()) <= 20
@@ -39,7 +39,7 @@ def test_its_linear_model_is_the_analytic_one(blocks, tmp_path, monkeypatch):
     matplotlib.use("Agg")
     known = {"__name__": "page"}
     exec(blocks[4], known)
-    pole = -0.05 / np.sqrt(0.9)  # d/dh of -0.1 sqrt(h)
+    pole = -0.05 / np.sqrt(0.9)  # derivative of -0.1 sqrt(h)
     assert known["u"][0] == pytest.approx(2.0 * np.sqrt(0.9), rel=1e-8)
     assert known["plant"].poles() == pytest.approx([pole], rel=1e-8)
     assert known["loop"].poles() == pytest.approx([pole - 0.3], rel=1e-8)

@@ -26,7 +26,7 @@ def test_the_controller_of_the_tutorial_replaces_ours(tmp_path, monkeypatch, cap
     code = re.search(r"```python\n(.*?)```", page, re.S)
     (tmp_path / "my_controller.py").write_text(code.group(1))
     with free_domain() as domain:
-        pass  # `run --domain` takes its lock itself
+        pass  # only find a free domain; `run --domain` reserves it itself
     environment = os.environ | {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -40,9 +40,9 @@ def test_the_controller_of_the_tutorial_replaces_ours(tmp_path, monkeypatch, cap
         controller.kill()
         controller.wait()
     printed = capsys.readouterr()
-    assert status == 0, printed.err  # another law: compared with our figures, not judged
+    assert status == 0, printed.err  # figures of another controller are compared with softrig's, not judged
     assert "not judged" in printed.out
-    # each step that is left to the user has its own line
+    # Each step left to the user has its own line.
     messages = [line.strip() for line in printed.err.splitlines()]
     assert any(line.startswith("dc_motor_smc must publish motor/command") for line in messages)
     assert len(list(tmp_path.glob("runs/dc_motor_smc_b2-external_dc_motor_smc/report.html"))) == 1
@@ -88,7 +88,7 @@ def test_the_version_is_the_same_everywhere():
     assert (citation["version"], citation["license"]) == (project["version"], project["license"])
     result = re.findall(r"^## (\S+)(?: \((\d{4}-\d\d-\d\d)\))?$", (ROOT / "CHANGELOG.md").read_text(), re.M)
     assert next(pair for pair in result if pair[1])[0] == project["version"]
-    for manifest in ROOT.glob("ros_pkgs/*/package.xml"):  # with setup.cfg: test_workspace.py
+    for manifest in ROOT.glob("ros_pkgs/*/package.xml"):  # test_workspace.py compares the manifests with setup.cfg
         assert f"<version>{project['version']}</version>" in manifest.read_text(), manifest
 
 

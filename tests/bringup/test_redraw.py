@@ -43,7 +43,7 @@ def test_a_run_is_drawn_again_as_it_ran(run, tmp_path, capsys):
     written = capsys.readouterr().out.split()
     assert len(written) == len(rig.scenario.plots)
     assert all(Path(path).read_bytes().startswith(b"%PDF") for path in written)
-    # a bag without a results folder
+    # The bag alone, without its results folder.
     assert main(["draw", "plot", str(run / "bag"), SIGNAL, "--out", str(tmp_path / "bag")]) == 0
 
 

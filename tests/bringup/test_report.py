@@ -220,7 +220,8 @@ def test_commands_are_steps_and_states_are_lines(whole):
     assert (speed.get_ylabel(), volts.get_ylabel()) == ("Speed, rad/s", "Voltage, V")
     (command,) = volts.lines
     assert command.get_drawstyle() == "steps-post"
-    assert command.get_xdata()[-1] == pytest.approx(2.0)  # held to the end of the run, past its last sample at 1.99 s
+    # The command holds to the end of the run; its last sample is at 1.99 s.
+    assert command.get_xdata()[-1] == pytest.approx(2.0)
 
 
 def test_a_quantised_measurement_of_a_plant_is_drawn_as_steps(make_rig, draw):
@@ -253,7 +254,7 @@ def test_window_shows_only_its_time(whole):
     t = ax.lines[0].get_xdata()
     assert t[0] <= 0.9
     assert t[-1] >= 1.2
-    assert len(t) < 35  # fewer points than the 200 samples
+    assert len(t) < 35  # the curve is drawn with fewer points than the 200 samples
 
 
 def test_short_run_is_drawn_in_milliseconds(make_rig, draw):
@@ -280,7 +281,7 @@ def test_overview_shows_every_signal_with_its_unit(whole):
     rig, figures = whole
     figure = figures["Every recorded signal"]
     panels = [ax for ax in figure.axes if ax.get_visible()]
-    assert sum(len(ax.lines) for ax in panels) == len(signal_units(rig)) - 1  # drive/load: no node publishes it
+    assert sum(len(ax.lines) for ax in panels) == len(signal_units(rig)) - 1  # no node publishes drive/load
     assert {ax.get_ylabel() for ax in panels} == {"rad", "rad/s", "N m", "Wb", "A", "", "V"}
     assert figure._supxlabel.get_text() == "nothing published on drive/load"
     assert all(ax.lines for ax in panels)
@@ -305,7 +306,7 @@ def test_switches_are_stacked(make_rig, draw):
 
 @pytest.mark.parametrize("recorder", [nothing, record], ids=["nothing", "everything"])
 def test_a_run_that_broke_early_still_has_pictures(make_rig, draw, recorder):
-    rig = make_rig(duration=0.001, plots=PLOTS[::3])  # over time, and against another signal
+    rig = make_rig(duration=0.001, plots=PLOTS[::3])  # one plot over time and one against another signal
     assert len(draw(rig, recorder(rig))) == 3
 
 
@@ -463,7 +464,7 @@ def test_report_shows_parameters_with_units_versions_and_command(make_run):
     assert page.tags.count("details") == len(BLOCKS)
     assert all(f"<summary><code>{node}</code>" in file.read_text() for node in BLOCKS)
     assert " · softrig</title>" in file.read_text()
-    # The title has the scenario's name, not the path of the file.
+    # The title has the name of the scenario, not the path of its file.
     assert "Repeat this runsoftrig run flux_demo --set" in page.text
     for text in ("J0.02 kg m²", "period0.001 s", platform.python_version(), "seed3", "ticks200"):
         assert text in page.text
@@ -509,7 +510,7 @@ def test_several_runs_get_an_index_and_are_side_by_side(make_run, tmp_path):
     assert compared[1] == ["second", "0.60695", "−1.25", "0.25"]
     assert page.references[:3] == ["#run-1", "#run-2", "#run-3"]
     assert page.tags.count("section") == 3
-    assert page.tags.count("details") == 3 * (1 + len(BLOCKS))  # the sections of each single run are folded
+    assert page.tags.count("details") == 3 * (1 + len(BLOCKS))  # the report folds the sections of single runs
     assert "This run has no pictures" in page.text
     assert not list(tmp_path.glob("*.part"))
 

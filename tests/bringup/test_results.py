@@ -111,7 +111,7 @@ def test_claims_of_studies_that_are_not_checked_are_named(folder, capsys, monkey
     assert main(["check", "--claims", "--workers", "1", "--studies"]) == 0
     assert "4 claims: 3 reproduced" in capsys.readouterr().out
     lag = (folder / "lag.yaml").read_text()
-    # the kept rows belong to another scenario
+    # Cached rows of another scenario are not used.
     (folder / "lag.yaml").write_text(lag.replace("duration: 1.0", "duration: 0.5"))
     assert main(["check", "--claims", "--workers", "1", "--studies"]) == 1
     assert "some: claim mean: the verdict reproduced does not hold: measured 0.15957" in capsys.readouterr().err

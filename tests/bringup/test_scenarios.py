@@ -80,7 +80,7 @@ def test_every_scenario_can_be_checked_before_its_run(name):
     figures_of(rig)
     needed(scenario)
     others = {p.frame for m in rig.members for p in m.outputs if p.type.framed and p.msgtype != VECTOR.name} - {WORLD}
-    if others:  # frames of bodies; the publisher of a vector states its frame
+    if others:  # the frame of a vector is that of its publisher
         assert others <= {frame for m in rig.members for frame in frames(m)}
 
 

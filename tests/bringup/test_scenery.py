@@ -13,7 +13,7 @@ from softrig_bags.read import read_bag, signals
 from softrig_bringup.cli import main
 from softrig_core import rig_of
 
-# scenario, topic of the joints, tip, links that move
+# scenario, topic of the joints, tip, number of links that move
 ROBOTS = [("manipulator_adsmc", "tool", 3), ("rehab_impedance", "foot", 2)]
 
 

@@ -46,7 +46,7 @@ def test_a_python_with_the_wheels_of_ros_starts_once_and_other_programs_do_not_s
         return done.stdout.strip().split(":")
 
     code = "import os; print(os.environ['LD_LIBRARY_PATH'])"
-    *wheels, own_path = path("python", "-S", "-c", code)  # -S: what the wheels do at a start is left out
+    *wheels, own_path = path("python", "-S", "-c", code)  # -S leaves out what the wheels load when Python starts
     assert own_path == "/mine"
     assert set(path("python", "-c", code)) == {*wheels, own_path}
     assert path("env", "printenv", "LD_LIBRARY_PATH") == ["/mine"]

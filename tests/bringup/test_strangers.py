@@ -57,7 +57,7 @@ def alone(tmp_path, monkeypatch):
     for name in ("SOFTRIG_SCENARIOS", "AMENT_PREFIX_PATH", "PYTHONPATH"):
         monkeypatch.setenv(name, os.environ.get(name, ""))
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setenv(confined.STRANGE, "")  # a confirmation sets it; monkeypatch removes it after the test
+    monkeypatch.setenv(confined.STRANGE, "")  # registered here so that monkeypatch removes what a confirmation sets
     monkeypatch.setattr(sandbox, "command", lambda options: None)
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     packed.opened.cache_clear()
@@ -94,7 +94,7 @@ def test_code_runs_only_after_confirmation(sources, tmp_path, capsys, monkeypatc
     assert not touched.exists()
     assert NAME not in sys.modules
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
-    assert run(file) == 1  # without bag and digests there is nothing to compare with
+    assert run(file) == 1  # a pack without a bag and digests has nothing to compare with
     assert touched.exists()
     assert Path(sys.modules[f"{NAME}.plant"].__file__).is_relative_to(tmp_path / "cache")
     assert not list((tmp_path / "cache/packs").glob("*/packages/**/__pycache__"))
@@ -171,7 +171,7 @@ def test_a_study_carries_its_code_and_repeats_after_confirmation(made, tmp_path,
             file.write_text(text)
     (tmp_path / "mine.yaml").write_text(made[f"scenario/{NAME}.yaml"])
     words = ["--draw", f"{NAME}_controller.r=0.5..2", "--draws", "2", "--workers", "1", "--duration", "0.1"]
-    with pytest.MonkeyPatch.context() as patch:  # there its package can be imported
+    with pytest.MonkeyPatch.context() as patch:  # within this context the package can be imported
         patch.setattr(sys, "path", [*sys.path])
         for name in ("AMENT_PREFIX_PATH", "PYTHONPATH"):
             patch.setenv(name, os.environ.get(name, ""))
@@ -429,7 +429,7 @@ def test_a_package_needs_no_setup_cfg(listed, sources, tmp_path, capsys, monkeyp
     points = {line.split(" = ")[0].strip(): line.split(" = ")[1] for line in sources[SETUP].splitlines() if ":" in line}
     offers = {NAME: {"console_scripts": points}} if listed else {}
     files = {"pack.json": about(offers=offers)} | {k: v for k, v in sources.items() if k != SETUP}
-    # A pack without a bag has nothing to repeat.
+    # A pack without a bag has no run to repeat.
     assert run(zipped(tmp_path / "x.zip", files), "--trust") == (1 if listed else 2)
     assert (f"package {NAME} has no executable" in capsys.readouterr().err) is not listed
 
@@ -674,7 +674,7 @@ def test_in_bubblewrap_a_confirmed_package_writes_only_its_results(sources, tmp_
         )
     if "bubblewrap does not work here" in made.stderr:
         pytest.skip(made.stderr)
-    assert made.returncode == 1, made.stderr  # without a bag there is nothing that it could repeat
+    assert made.returncode == 1, made.stderr  # a pack without a bag has no run to repeat
     assert "it runs in bubblewrap" in made.stderr
     assert "reached" not in made.stderr
     assert (tmp_path / "again/metrics.json").is_file()

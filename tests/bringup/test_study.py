@@ -225,7 +225,8 @@ def test_an_interrupted_study_is_resumed(folder):
     part = folder / "part"
     run_study(demo, part, workers=1)
     lines = (part / "rows.jsonl").read_bytes().splitlines(keepends=True)
-    (part / "rows.jsonl").write_bytes(b"".join(lines[:3]) + lines[3][:20])  # killed while it wrote the fourth
+    # As if the study had been killed while it wrote the fourth row.
+    (part / "rows.jsonl").write_bytes(b"".join(lines[:3]) + lines[3][:20])
     kept = lines[:3]
     resumed = rows_of(demo, part)
     assert [(r["number"], r["figures"]) for r in resumed] == [(r["number"], r["figures"]) for r in whole]
@@ -330,7 +331,7 @@ def test_undamaged_rows_are_read_and_none_of_them_is_lost(kind, folder, capsys):
     assert ("are no rows of this study" in capsys.readouterr().err) == (kind != "without its last newline")
     assert file.read_bytes().startswith(content)
     assert len(file.read_bytes()[len(content) :].splitlines()) >= 3 - right
-    assert rows_of(demo, folder / "out") == result  # no run is left
+    assert rows_of(demo, folder / "out") == result  # all runs are finished
 
 
 def test_two_studies_do_not_write_into_one_folder(folder):
@@ -453,7 +454,7 @@ claims: {largest: {published: 0.1, where: Table I, verdict: refuted, reason: lar
     assert "the verdict refuted does not hold" in capsys.readouterr().out
     content = json.loads((folder / "runs" / "study_gains" / "summaries.json").read_text())
     assert (content["runs"], content["claims"][0]["holds"]) == (2, False)
-    # Nothing is judged if an option makes the study another one than its file.
+    # A study is not judged if options change what its file defines.
     file.write_text(text.replace("LIMIT", "1000"))
     assert main(["study", "gains", "--workers", "1", "--duration", "0.2", "--out", "other"]) == 0
     assert "summaries and claims are not judged: published for the study without other duration" in (
@@ -463,7 +464,8 @@ claims: {largest: {published: 0.1, where: Table I, verdict: refuted, reason: lar
     assert content["claims"][0]["holds"] is None
     assert content["summaries"][0]["published_for"] == "the study without other duration"
     assert ">not judged</span>" in (folder / "other" / "report.html").read_text()
-    assert main(["study", "gains", "--workers", "1", "--figures", "last", "--out", "same"]) == 1  # the same runs
+    # These options leave the runs unchanged.
+    assert main(["study", "gains", "--workers", "1", "--figures", "last", "--out", "same"]) == 1
 
 
 def a_row(number, k, value, seed=0, never=()):
@@ -511,13 +513,13 @@ def test_a_study_reports_never_for_a_figure_without_a_value(folder, capsys):
         == 0
     )
     out = capsys.readouterr().out
-    assert out.count("never") == 1 + 6  # once in the head and once in the row of each run
+    assert out.count("never") == 1 + 6  # once in the head, and once in the row of each run
     assert "None" not in out
     page = (folder / "out" / "report.html").read_text()
     assert page.count(">never</td>") == 6
     table = pyarrow.parquet.read_table(folder / "out" / "table.parquet").to_pylist()
     assert [(r["gain.k"], r["plant.gain"]) for r in table] == [(k, g) for k in (1, 2, 3) for g in (1, 2)]
-    assert {r["never"] for r in table} == {"never"}  # the figure of that name
+    assert {r["never"] for r in table} == {"never"}  # the row of the figure "never" says the same
 
 
 @pytest.mark.parametrize(

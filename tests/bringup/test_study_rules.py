@@ -252,7 +252,7 @@ def test_a_log_lists_its_rows_and_refuses_a_number_with_other_parameters(tmp_pat
     again = Log(tmp_path / "rows", 3, [case(0), case(1, 2.0)])
     assert (len(again), again.passed_over, [r["number"] for r in again.rows()]) == (1, 0, [1])
     again.close()
-    fewer = Log(tmp_path / "rows", 1)  # a study of one run has no number 1
+    fewer = Log(tmp_path / "rows", 1)  # a study of one run has only number 0
     assert (len(fewer), fewer.passed_over, list(fewer.rows())) == (0, 1, [])
     fewer.close()
 
@@ -280,7 +280,7 @@ def test_a_batch_runs_what_is_missing_and_returns_all_in_order(tmp_path, monkeyp
         assert [r["number"] for r in batch.rows(works)] == [3, 2, 0]
         assert [r["number"] for r in batch.rows([work.Work(case(k)) for k in (0, 1)])] == [0, 1]
     assert ran == [3, 0, 1]
-    assert len(shown) == 6  # one report for each finished run, also those of an earlier call
+    assert len(shown) == 6  # finished runs of an earlier call are reported, too
     assert log._file.closed
     assert [r["number"] for r in log.rows()] == [2, 3, 0, 1]
 
@@ -437,7 +437,7 @@ def test_the_best_candidate_has_all_its_seeds_within_the_limits():
     for aim, numbers in (("minimise", [4, 5]), ("maximise", [8, 9])):
         result = page.best(study(search=settings | {"aim": aim}, seeds=2), rows)
         assert [r["number"] for r in result] == numbers
-    # the third run lacks one of its seeds
+    # One seed of the third run is missing.
     assert [r["number"] for r in page.best(study(search=settings, seeds=2), rows[:5])] == [2, 3]
     assert page.best(study(search=settings | {"subject_to": {"g": "at most 0"}}, seeds=2), rows) == []
     assert page.best(study(), rows) == []
@@ -511,7 +511,7 @@ def test_in_parallel_coordinates_the_best_is_drawn_last():
     for aim, last in (("minimise", [0.5, 0.0]), ("maximise", [0.0, 1.0])):
         (ax,) = on_paper(pictures._parallel(study(search=settings | {"aim": aim}).search, rows)).axes
         assert len(ax.lines) == 4
-        assert ax.lines[-1].get_ydata() == pytest.approx(last)  # the first of equal values
+        assert ax.lines[-1].get_ydata() == pytest.approx(last)  # of equal values the first counts
         assert [line.get_alpha() for line in ax.lines] == pytest.approx([0.2, 0.4, 0.6, 0.8])
         assert [t.get_text() for t in ax.get_xticklabels()] == ["x\n0 to 1", "f\n1 to 3"]
 
@@ -534,7 +534,7 @@ def test_bands_show_at_most_six_groups_up_to_their_common_end(seeds):
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("Time, s", "Voltage, V")
     areas = [part.get_paths()[0].get_extents().extents for part in ax.collections]
     assert len(areas) == (6 if seeds > 1 else 0)
-    # the quantiles of 10 and 90 % of three values: a fifth of the way to the middle one
+    # The 10 % and 90 % quantiles of three values lie a fifth of the way to the middle one.
     assert all(area == pytest.approx((0.0, 0.2, 2.0, 5.8)) for area in areas)
 
 
@@ -635,9 +635,9 @@ def test_a_first_run_before_workers_are_copied_ends_when_much_of_it_is_left(left
 
     monkeypatch.setattr(work, "simulate", simulated)
     monkeypatch.setattr(work, "LEFT", left)
-    # Blocks that are not softrig's own could end this process, so they first run in a worker.
+    # External code can crash the process, so its rigs are warmed up in a worker.
     monkeypatch.setattr(work, "is_foreign", lambda block: foreign)
     work.warm(rig_of("dc_motor_smc", duration=0.1), work.Work(Case(0, "dc_motor_smc", "", {}, 1)))
-    # A native run reports its progress less often than one in Python.
+    # A native run reports its progress less often than a run in Python.
     assert (bool(seen), any(isinstance(x, Run) for x in seen)) == (begins, ends)
     assert left > 0.0 or len(seen) == 3

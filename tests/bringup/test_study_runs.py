@@ -17,15 +17,15 @@ from softrig_core.scenario.scenario import read_draft
 
 DRIVE = [
     {"im_plant.R_s": 3.7},
-    {"im_plant.R_s": 3.9},  # equal figures and requirements
-    {"im_plant.bits": 12},  # another argument of a figure, by `agreed`
-    {"im_plant.U_dc": 500.0},  # another constant of a requirement
-    {"im_plant.J": 1e-9},  # fails
-    {"im_plant.adc_mode": "none"},  # no random numbers, another text
+    {"im_plant.R_s": 3.9},  # the same figures and requirements as before
+    {"im_plant.bits": 12},  # changes an argument of a figure, by `agreed`
+    {"im_plant.U_dc": 500.0},  # changes a constant of a requirement
+    {"im_plant.J": 1e-9},  # this run fails
+    {"im_plant.adc_mode": "none"},  # uses no random numbers, and other generated code
     {"dtc_controller.estimator": "observer"},
-    {"dtc_controller.magnetising_time": 0.008, "dtc_controller.flux_ramp": 0.008},  # another window
+    {"dtc_controller.magnetising_time": 0.008, "dtc_controller.flux_ramp": 0.008},  # shifts the window of the figures
     {"load_source.times": [0.0, 0.018], "load_source.values": [0.0, 5.0]},
-    {"im_plant.period": 2.5e-5, "dtc_controller.period": 2.5e-5},  # other times
+    {"im_plant.period": 2.5e-5, "dtc_controller.period": 2.5e-5},  # other tick times
     {"im_plant.trip_current": 3.0},
     {"im_plant.R_s": 3.7},
 ]
@@ -53,7 +53,7 @@ def drive():
     return replace(draft, raw=raw)
 
 
-# draft, duration, overrides
+# Each study: its draft, duration and overrides.
 STUDIES = {"drive": (drive, 0.02, DRIVE), "faults": (partial(read_draft, "dc_motor_smc_faults"), 1.0, MOTOR)}
 
 
@@ -71,7 +71,7 @@ def content(row):
 def test_a_row_does_not_depend_on_the_runs_before_it(study):
     make, draft = STUDIES[study][0], STUDIES[study][0]()
     rows = [content(run(work)) for work in works(study, draft)]
-    # another draft shares nothing that was read of the scenario
+    # Another draft shares nothing that was read from the scenario.
     alone = [content(run(work)) for work in reversed(works(study, make()))]
     assert rows == alone[::-1]
     assert len(set(rows)) == len(rows)  # the first and the last one differ in their seeds
@@ -97,7 +97,7 @@ def test_the_rows_of_a_whole_study_have_the_digest_of_separate_processes(tmp_pat
     rows = sorted(run_study(study, tmp_path, workers=2).rows(), key=itemgetter("number"))
     cases = [Case(*(row[name] for name in Case._fields)) for row in rows]
     alone = [Work(case, study.duration, runs=len(rows), scenario=None) for case in cases]
-    # Each process runs one case, so nothing of another run can be left in it.
+    # Each process runs one case, so no other run can affect it.
     with get_context("spawn").Pool(2, maxtasksperchild=1) as pool:
         digests = pool.map(digest_alone, [[work] for work in alone], chunksize=1)
     assert len(set(digests)) == len(rows) == 12

@@ -73,7 +73,7 @@ def test_a_mean_has_the_interval_of_student():
 def test_the_interval_of_a_quantile_covers_it_by_the_binomial_distribution(n, q):
     """Of sorted values 1 to n: the chance that the quantile lies between two of them is a sum of binomial terms."""
     value, low, high = estimate.quantile(np.arange(1.0, n + 1.0), q)
-    below = 0 if math.isnan(low) else low  # an open end: the interval covers all values and more
+    below = 0 if math.isnan(low) else low  # an open end means that the interval covers all values beyond
     above = n + 1 if math.isnan(high) else high
     chance = stats.binom.pmf(range(int(below), int(above)), n, q).sum()
     assert chance >= 0.95 - 1e-9
@@ -93,7 +93,8 @@ def test_an_event_that_never_happens_is_the_largest():
     few([
         (estimate.deviation, lambda rng: rng.normal(5.0, 2.0, 40), 2.0, 0.91),
         (estimate.deviation, lambda rng: rng.uniform(0.0, 1.0, 40), 12.0**-0.5, 0.91),
-        (estimate.deviation, lambda rng: rng.exponential(1.0, 100), 1.0, 0.86),  # Bonett's table 1: 0.90 for n = 100
+        # 0.90 in Bonett's table 1 for n = 100.
+        (estimate.deviation, lambda rng: rng.exponential(1.0, 100), 1.0, 0.86),
         (estimate.difference, lambda rng: rng.normal(0.3, 1.0, 8), 0.3, 0.92),
         (estimate.difference, lambda rng: rng.exponential(1.0, 50), 1.0, 0.89),
         (lambda x: estimate.quantile(x, 0.5), lambda rng: rng.exponential(1.0, 30), math.log(2.0), 0.94),
@@ -166,7 +167,7 @@ def test_sobol_indices_of_ishigamis_function_are_its_closed_form():
         assert index.total.value == pytest.approx(together, abs=0.05)
         assert 0.0 < index.total.high - index.total.low < 0.3
     (line,) = result.lines
-    assert line.n == 1024  # the mixed points are no independent ones
+    assert line.n == 1024  # the mixed points are not independent, so they do not count
     assert line.mean.value == pytest.approx(3.5, abs=0.1)
     assert line.deviation.value == pytest.approx(math.sqrt(total), rel=0.03)
 
@@ -202,7 +203,7 @@ def test_an_event_that_never_happens_counts_in_the_shares_and_not_in_the_differe
     result = statistics(definition, list(rows_of(definition, lambda case, k, point, seed: values[case][k], "ab")), {})
     (d,) = result.differences
     assert (d.n, d.difference.value) == (5, pytest.approx((0.0 - 1.5 + 1.0) / 5))
-    assert d.smaller.value == pytest.approx(3.5 / 7)  # of the seven known pairs, one is equal and counts half
+    assert d.smaller.value == pytest.approx(3.5 / 7)  # of the seven known pairs one is equal, which counts half
     b = result.lines[1]
     assert (b.n, b.lost, b.median.value) == (5, "2 of 8 never, 1 of 8 not measured", 1.0)
 
@@ -246,7 +247,7 @@ def test_each_grid_point_is_a_separate_sample():
     ]
     result = statistics(definition, rows, {})
     assert [(line.group, line.n) for line in result.lines] == [("k 0.01", 4), ("k 0.010001", 4)]
-    # one run for each case is not a sample
+    # One run of each case is no sample.
     assert statistics(study(grid={"n.k": [1, 2]}), [rows[0], rows[4]], {}).lines == []
 
 
@@ -331,7 +332,7 @@ def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder,
     noisy = (folder / "scenarios" / "lag.yaml").read_text()
     noisy += "faults: {noise: {link: lag/state, kind: noise, channels: [x], value: [0.02]}}\n"
     (folder / "scenarios" / "noisy.yaml").write_text(noisy)
-    # one of the scenarios draws random numbers
+    # One of the scenarios draws random numbers.
     for drawing in ({"scenario": "noisy"}, {"cases": {"a": {}, "b": {"scenario": "noisy"}}}):
         definition = study(seeds=3, duration=0.05, **drawing)
         check_seeds(definition, drafts_of(definition))

@@ -133,7 +133,7 @@ def test_a_path_has_a_gap_for_missing_values_and_leaves_out_points_on_a_level():
     x, y = np.arange(8.0), np.array([1.0, 1.0, 1.0, math.nan, 5.0, 7.0, math.inf, 2.0])
     assert path(x, y, False, 100.0) == "M0 1l2 0M4 5l1 2M7 2h0"
     assert path(x[:0], y[:0], False, 100.0) == ""
-    # coordinates are limited, so that numbers stay short
+    # Coordinates are limited so that numbers stay short.
     assert path(np.array([0.0, 3.0]), np.array([0.0, 1e9]), False, 100.0) == "M0 0l3 1000000"
 
 
@@ -261,7 +261,7 @@ def test_limits_are_those_of_matplotlib(values):
     assert figure().subplots().get_ylim() == (0.0, 1.0)
     fixed = Axis(0.1)
     fixed.see([0.0, 10.0], (0.0,))
-    assert fixed.limits() == (0.0, 11.0)  # sticky edges get no margin
+    assert fixed.limits() == (0.0, 11.0)  # sticky edges have no margin
 
 
 def test_a_curve_is_drawn_at_its_values():
@@ -301,7 +301,7 @@ def test_bars_boxes_maps_and_dots_are_those_of_matplotlib():
     of_matplotlib = on_paper(one)
     bars = left.items[0].boxes
     assert bars[:, 3].tolist() == [p.get_height() for p in of_matplotlib.axes[0].patches] == [1.0, 4.0, 2.0]
-    assert left.get_ylim()[0] == 0.0  # bars stand on the axis
+    assert left.get_ylim()[0] == 0.0  # bars begin at the axis
     box, low, high, *_, middle, beyond = right.lines
     lines = of_matplotlib.axes[1].lines
     assert sorted({*box.x}) == [2.25, 3.75]
@@ -338,7 +338,7 @@ def test_marks_at_the_edge_are_not_cut_and_have_their_height_as_a_share():
     x, y = (float(v) for v in re.match(r"M([\d.]+) ([\d.]+)", cross.get("d")).groups())
     half = 3.0 * 110 / 72
     assert (x + half, y + half) == pytest.approx((box[0] + box[2], box[1] + 0.25 * box[3]), abs=0.2)
-    assert ax.get_ylim() == (-0.05, 1.05)  # a share of the height is no value
+    assert ax.get_ylim() == (-0.05, 1.05)  # a share of the height is not a value of the axis
 
 
 def test_a_legend_is_above_the_axes_with_a_sample_of_each_entry():
@@ -355,7 +355,7 @@ def test_a_legend_is_above_the_axes_with_a_sample_of_each_entry():
     ]
     assert [e.text for e in named] == ["one", "two & more", "three", "accepted"]
     assert all(float(e.get("y")) < box[1] for e in named)
-    assert text.count('fill="#44aa99"') == 2  # the band and its sample
+    assert text.count('fill="#44aa99"') == 2  # once for the band and once for its sample in the legend
     assert "two &amp; more" in text
 
 

@@ -12,7 +12,7 @@ from softrig_core.run.expand import rig_of
 
 ORDER = ["Try it", "The model", "Corrections of the paper", "Published and measured", "What you can change and see",
          "Speed", "References"]  # fmt: skip
-LONG = 30  # rows of a table, from which on it folds
+LONG = 30  # rows; a longer table is folded
 _FENCED = re.compile(r"^```.*?^```$", re.S | re.M)
 _COMMENT = re.compile(r"<!--.*?-->", re.S)
 

@@ -48,7 +48,7 @@ def test_students_get_the_exercises_and_no_solution(name):
         *(f"# {k}. " for k in range(1, len(whole) - at)),
     ]
     asked = re.findall(r"^\d+\.", "".join(whole[at - 1]["source"]), re.M)
-    assert len(asked) == len(whole) - at - 1  # each exercise has a cell for its answer
+    assert len(asked) == len(whole) - at - 1  # each exercise is followed by a cell for its answer
 
 
 @pytest.mark.long

@@ -25,7 +25,7 @@ TEXTS = {
     '"[bold red]loud[/bold red] x [/b] [rad/s]"': "[bold red]loud[/bold red] x [/b] [rad/s]",
     '"cost in $ and {braces} $x^$"': "cost in $ and {braces} $x^$",
 }
-ALL = f'"{" ".join(text[1:-1] for text in TEXTS)}"'  # one run instead of two
+ALL = f'"{" ".join(text[1:-1] for text in TEXTS)}"'  # both texts in one run, which halves the time
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "studies").mkdir()
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path / "scenarios"))
     monkeypatch.setenv("AMENT_PREFIX_PATH", "")
-    monkeypatch.setenv("COLUMNS", "300")  # wide enough that no line is wrapped
+    monkeypatch.setenv("COLUMNS", "300")  # wide enough that no line wraps
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -52,7 +52,7 @@ def test_a_title_is_shown_unchanged_whatever_it_contains(title, folder, capsys):
     ]
     for arguments, status in calls:
         assert main(arguments) == status, capsys.readouterr().err
-        printed = " ".join("".join(capsys.readouterr()).split())  # the text before wrapping
+        printed = " ".join("".join(capsys.readouterr()).split())  # the output without its line breaks
         assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in printed or arguments[0] in ("check", "report")
 
 

@@ -60,14 +60,15 @@ def blocks(page: str) -> list[Block]:
 
 
 def script(result: list[Block]) -> str:
-    # otherwise background processes would outlive the test
+    # Otherwise background processes would outlive the test.
     lines = ["set -eo pipefail", "trap 'jobs -p | xargs -r kill' EXIT"]
     lines += [f"cd {shlex.quote(str(ROOT))}", 'eval "$(scripts/softrig env)"', 'cd "$FOLDER"']
     for number, block in enumerate(result):
         if block.kind == "file":
             first, _, remaining = block.text.partition("\n")
             name = re.search(r"[\w/]+\.\w+", first)[0]
-            text = remaining if name.endswith(".urdf") else block.text  # no comment of XML
+            # The line with the file name is no XML comment.
+            text = remaining if name.endswith(".urdf") else block.text
             lines += [f"cat > {name} <<'@@ end'", text.rstrip("\n"), "@@ end"]
         elif block.kind == "commands":
             lines += [f"echo '{MARK} {number}'", block.text.rstrip("\n")]
@@ -94,7 +95,7 @@ def test_a_tutorial_does_what_it_describes(name, tmp_path):
     result = blocks(pages()[name].read_text())
     assert sum(block.kind == "commands" for block in result) >= 2
     with free_domain() as domain:
-        pass  # `run --domain` takes its lock itself
+        pass  # only find a free domain; `run --domain` reserves it itself
     work = tmp_path / "work"
     work.mkdir()
     text = script(result).replace("ROS_DOMAIN_ID=42", f"ROS_DOMAIN_ID={domain}")
@@ -103,7 +104,7 @@ def test_a_tutorial_does_what_it_describes(name, tmp_path):
         "FOLDER": str(work),
         "XDG_STATE_HOME": str(tmp_path / "state"),
         "ROS_LOG_DIR": str(tmp_path / "log"),
-        "COLUMNS": "300",  # the pages show lines that are not wrapped, however many digits a time has
+        "COLUMNS": "300",  # the pages show unwrapped lines, however many digits a time has
     }
     environment.pop("SOFTRIG_WORKSPACE", None)
     done = subprocess.Popen(["bash", "-c", text], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -112,7 +113,7 @@ def test_a_tutorial_does_what_it_describes(name, tmp_path):
         printed = done.communicate(timeout=800)[0]
     finally:
         with suppress(ProcessLookupError):
-            os.killpg(done.pid, signal.SIGKILL)  # a controller in the background
+            os.killpg(done.pid, signal.SIGKILL)  # also ends a controller in the background
     assert done.returncode == 0, printed
     parts = dict(re.findall(rf"^{MARK} (\w+)\n(.*?)(?=^{MARK}|\Z)", printed, re.S | re.M))
     assert "end" in parts, printed
@@ -164,7 +165,7 @@ def test_a_table_of_a_tutorial_has_the_expectations_of_the_scenario():
 def test_the_output_of_an_example_is_compared_with_what_was_printed():
     assert shown("a  1 s\nb ... s\n", "x\na 1 s  \ny\nb 0.3 s\n") == ""
     assert shown("a 1 s\n", "a 2 s\n") == "a 1 s"
-    assert shown("b\na\n", "a\nb\n") == "a"  # in order
+    assert shown("b\na\n", "a\nb\n") == "a"  # lines must occur in the same order
     assert blocks("Do:\n\n    softrig list\n\n```text\nx\n```\n```yaml\n# a.yaml\nb: 1\n```\n\n    always x > 1\n") == [
         ("commands", "softrig list\n"),
         ("output", "x\n"),

@@ -78,7 +78,7 @@ def forked(*words):
         sys.exit(main([*map(str, words)]))
 
     process = multiprocessing.get_context("fork").Process(target=child)
-    with warnings.catch_warnings():  # the other threads belong to libraries that handle forks
+    with warnings.catch_warnings():  # Bokeh's other threads survive a fork
         warnings.simplefilter("ignore", DeprecationWarning)
         process.start()
     os.close(writer)
@@ -125,7 +125,7 @@ class Browser:
 
         def seen():
             if self["echo"].text != (beat := self["beat"].text):
-                self["echo"].text = beat  # the script of the page echoes the beat, so that the state is shown
+                self["echo"].text = beat  # the page's script echoes the beat when the state is drawn
             return condition()
 
         self.session._connection._loop_until(seen)
@@ -153,13 +153,13 @@ def test_a_run_paused_stepped_and_changed_on_its_page_has_the_bag_of_the_same_ru
             first.until(lambda t=t: f">{mode}: {t} of 0.1 s, paused<" in first["state"].text)
         first["dc_motor_smc.c"].value = "-1.0"
         first.says("c out of range")
-        second.says("c out of range")  # a refusal is shown on all pages
+        second.says("c out of range")  # every page shows a refusal
         first.until(lambda: first["dc_motor_smc.c"].value == second["dc_motor_smc.c"].value != "-1.0")
         first["pace"].value = "0.5"
         first.says("pace 0.5")
         second.says("pace 0.5")
         second.until(lambda: second["pace"].value == "0.5")
-        second.close()  # the page leaves while the run continues
+        second.close()  # the page disconnects while the run continues
         first.press("hold")
         first.until(lambda: "ended" in first["state"].text)
         assert "the run is over" in first["state"].text
@@ -168,12 +168,13 @@ def test_a_run_paused_stepped_and_changed_on_its_page_has_the_bag_of_the_same_ru
         speed = first["Speed follows its reference: motor/state/shaft/velocity"].data
         first.close()
         assert main(["run", *words, "--mode", "container", "--out", str(tmp_path / "plain")]) in (0, 1)
-        process.send_signal(signal.SIGINT)  # so that it does not wait for a page to reconnect
+        process.send_signal(signal.SIGINT)  # otherwise the run would wait for the page to reconnect
         assert process.wait(PATIENCE) in (0, 1)
     seen, unseen = signals(tmp_path / "seen/bag"), signals(tmp_path / "plain/bag")
     assert compare(seen, unseen, bitwise=True).equal
     t, recorded = seen["motor/state/shaft/velocity"]
-    assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])  # the page ends where the bag does
+    # The page shows everything up to the end of the bag.
+    assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])
 
 
 @pytest.mark.long
@@ -292,12 +293,14 @@ def test_parameters_stay_changed_after_going_back_and_the_old_branch_can_be_run(
     source.read_new()
     left = session.recording.before(80_000_000)
     shard = tmp_path / "log/rig.shard"
-    assert read_shards([shard]).topics == left.topics  # the file has everything if the process were killed now
+    assert read_shards([shard]).topics == left.topics  # if the process is killed now, the file is complete
     control.go_back("me", 0.03)
     assert (session.t, source.end, control.knobs["dc_motor_smc.delta"].value) == (0.03, 0.0299, 0.8)
     assert source.pane(0.0, 1.0)["motor/state/shaft/velocity"].t[-1] == 0.0299
-    assert read_shards([shard]).topics == left.topics  # the file stays until the run continues from there
-    run = simulate(str(tmp_path / "left_1.yaml"))  # it is there already: a process that is killed would leave it
+    # The file is kept until the run continues from the earlier instant.
+    assert read_shards([shard]).topics == left.topics
+    # The scenario of the branch is already written, so a killed process would leave it.
+    run = simulate(str(tmp_path / "left_1.yaml"))
     assert run.recording.before(80_000_000).topics == left.topics
     control.go_back("me", 0.02)  # no parameter was changed in between
     session.go(0.03)
@@ -323,7 +326,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     plain = SessionSource(Session("dc_motor_smc", duration=0.1), True, 1.0)
     plain.session.go(0.05)
     plain._place = lambda: tmp_path
-    plain.control.go_back("me", 0.0)  # no parameter was changed, so nothing is kept
+    plain.control.go_back("me", 0.0)  # no parameter was changed, so no branch is kept
     assert plain.session.t == 0.0
     source = SessionSource(Session("dc_motor_smc", duration=0.1), True, 1.0, folder=lambda: tmp_path)
     source.control.turn("me", "dc_motor_smc.delta", 0.5)
@@ -334,7 +337,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     source.control.go_back("me", 0.0)
     assert re.match(r"back to 0 s refused: .*No space left on device", source.control.entries[-1].text)
     assert (source.session.t, source.branched) == (0.05, [])
-    source.control.go_back("me", 0.0)  # the link is gone with the refused file
+    source.control.go_back("me", 0.0)  # the refused file leaves no link behind
     assert (source.session.t, source.branched[0]["left"]) == (0.0, "left_1.yaml")
 
     written, outcomes = [], []
@@ -378,7 +381,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     def broken(run, into):
         raise ZeroDivisionError
 
-    with pytest.raises(ZeroDivisionError):  # an error of softrig itself ends the run, which does not wait forever
+    with pytest.raises(ZeroDivisionError):  # an error in softrig ends the run instead of blocking it
         show_here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, broken)
 
 
@@ -407,7 +410,7 @@ def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do(monk
     assert ticks(10, lambda k: control.hold("me", "step")) == pytest.approx(100)
     control.hold("me", "resume")
     assert ticks(10, lambda k: None) == pytest.approx(20, abs=1.01)
-    clock.now += 60.0  # the minute in which the process was stopped is not caught up
+    clock.now += 60.0  # the clock does not catch up the minute for which the process was stopped
     assert ticks(1, lambda k: None) == pytest.approx(3, abs=1.01)
 
 
@@ -415,7 +418,7 @@ def test_requests_of_a_browser_run_in_the_thread_of_the_ticks():
     asked = []
     source = SessionSource(Session("dc_motor_smc", duration=0.1), True, 1.0, asked.append)
     source.session.go(0.05)
-    source.control.go_back("me", 0.02)  # in a thread of Bokeh's
+    source.control.go_back("me", 0.02)  # Bokeh calls this in its own thread
     assert source.session.t == 0.05
     asked.pop()()
     assert source.session.t == 0.02
@@ -441,9 +444,10 @@ def test_only_requests_with_the_token_are_accepted(tmp_path, at):
                 Browser(base, **text)
         kept = build_opener(HTTPCookieProcessor())
         assert b"dc_motor_smc - softrig" in kept.open(f"{base}?token={token}").read()
-        assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()  # as when the browser reloads the page
+        # A browser requests this when it reloads the page.
+        assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()
         evil = Request(f"{base}view?token={token}", headers={"Host": f"evil.example:{urlsplit(base).port}"})
-        if at.startswith("127"):  # a foreign host name that resolves to this address
+        if at.startswith("127"):  # a foreign host name can resolve to this address
             with pytest.raises(HTTPError, match="403: the page is of this host only, expected its own address"):
                 urlopen(evil)
         else:
@@ -499,7 +503,7 @@ def test_a_track_keeps_extremes_and_stays_small():
     assert track.thinned
     assert (table.columns["x"].max(), table.columns["x"].min()) == (50.0, -60.0)
     assert np.all(np.diff(table.t) >= 0)
-    assert np.array_equal(table.columns["x"][-300:], x[-300:])  # the newest are whole
+    assert np.array_equal(table.columns["x"][-300:], x[-300:])  # the newest rows are not thinned
 
 
 def test_a_slider_changes_its_parameter_and_follows_it():
@@ -509,10 +513,11 @@ def test_a_slider_changes_its_parameter_and_follows_it():
     page = Page(document, Recorded(rig, Signals(Recording([])), {}), control, lambda: ((), True), "me", "here", "light")
     number, slider = (document.select_one({"name": f"noise.probability{what}"}) for what in ("", " slider"))
     assert (slider.start, slider.end, slider.value) == (0.0, 1.0, 1.0)
-    assert document.select_one({"name": "noise.start slider"}) is None  # no upper bound
-    slider.value = 0.5  # while the slider is dragged
+    # A parameter without an upper bound has no slider.
+    assert document.select_one({"name": "noise.start slider"}) is None
+    slider.value = 0.5  # the slider is still dragged
     assert not asked
-    slider.trigger("value_throttled", 1.0, 0.25)  # the event that a browser sends when the slider is released
+    slider.trigger("value_throttled", 1.0, 0.25)  # a browser sends this event when the slider is released
     ((request, answered),) = asked
     assert request == {"node": "noise", "set": {"probability": 0.25}}
     answered(False, "no")
@@ -524,7 +529,7 @@ def test_a_slider_changes_its_parameter_and_follows_it():
     page.update()
     assert (number.value, slider.value) == ("0.75", 0.75)
     assert len(asked) == 2
-    for typed in ("0,5", "0.5 V", ""):  # no typed character is ignored
+    for typed in ("0,5", "0.5 V", ""):  # the whole text must be a number
         number.value = typed
         assert (
             control.entries[-1].text == f"noise.probability = {typed!r} refused: expected a number, such as 2.5 or 1e-3"
@@ -539,7 +544,8 @@ def test_a_slider_changes_its_parameter_and_follows_it():
     [
         ((0.0, 1.0), 0.0, (0.0, 1.0)),
         ((0.0, 1e4), 0.0, None),
-        ((0.0, 20.0), 0.0, (0.0, 20.0)),  # a range of up to twenty times the value, or 20, becomes the slider's
+        # The slider covers the declared range up to twenty times the value, or up to 20.
+        ((0.0, 20.0), 0.0, (0.0, 20.0)),
         ((0.0, 20.5), 0.0, None),
         ((0.0, 20.0), 0.5, (0.0, 20.0)),
         ((0.0, 21.0), 0.5, (0.0, 2.0)),
@@ -628,7 +634,7 @@ def test_a_page_names_the_nodes_that_a_starting_rig_waits_for(tmp_path):
     says(rf"0 of 6 s, starting for \d+ s, waits for {', '.join(members)}<")
     source._complete -= 1000.0
     says(r"starting for 1\d\d\d s, waits for dc_motor_plant<", **dict.fromkeys(members[1:], "starting"))
-    # all nodes have started and search for each other
+    # All nodes have started and discover each other.
     says(f"waits for {', '.join(members)}<", dc_motor_plant="starting")
     says("0 of 6 s, paused<", **dict.fromkeys(members, "running"))
     assert source.waited < 1000.0

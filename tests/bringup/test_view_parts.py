@@ -218,7 +218,7 @@ def test_a_running_run_is_read_from_the_files_of_its_nodes(run, tmp_path, clock)
     version = source.version
     source.read_new()
     published = sum(bool(run.recording.topics[t].times and p.labels) for t, p in run.rig.topics.items())
-    assert source.version == version + published + 1  # each topic and the change count once
+    assert source.version == version + published + 1  # each published topic counts once, and so does the change
     source.read_new()
     assert source.waited == 0.0  # all nodes have started
     assert source.end == pytest.approx(0.1)
@@ -233,7 +233,7 @@ def test_a_running_run_is_read_from_the_files_of_its_nodes(run, tmp_path, clock)
     assert (other.status["dc_motor_plant"], other.outcome, other.end) == ({"state": "done"}, "ended", 0.1)
     source.finish("ended", tmp_path)
     assert (source.results, source.status, source.outcome) == ([{"name": "a"}], {"b": {}}, "ended")
-    source.read_new()  # no further message
+    source.read_new()  # without a new message nothing changes
     assert source.status == {"b": {}}
 
 
@@ -275,10 +275,10 @@ def test_a_slice_of_ticks_ends_in_time_and_the_pace_is_kept(clock, monkeypatch):
     step = source._step
     monkeypatch.setattr(source, "_step", lambda: (step(), setattr(clock, "now", clock.now + 0.02)))
     before = source.session.t
-    assert source.turn() == 0.0  # immediately again: the page was served after 0.05 s
+    assert source.turn() == 0.0  # run on at once: the slice only ended after 0.05 s to serve the page
     assert source.session.t - before == pytest.approx(3e-4)
     source.control.hold("me", "pause")
-    assert source.turn() == 0.01  # nothing to do
+    assert source.turn() == 0.01  # no work is left
     source.control.hold("me", "resume")
     source.control.go_at("me", 1e-9)
     source.turn()
@@ -309,7 +309,7 @@ def test_actions_on_a_rig_in_the_process_of_its_page_are_reported(tmp_path, cloc
     assert (control.goes_back, control.buttons, control.held, control.pace) == (True, [], False, 1.0)
     assert (
         SessionSource(Session("dc_motor_smc_faults", duration=0.01), True, 0.0).control.buttons == []
-    )  # messages from outside
+    )  # a button sends messages from outside, which this run does not receive
     messages = []
     for act in (
         lambda: control.hold("me", "step"),
@@ -336,7 +336,7 @@ def test_actions_on_a_rig_in_the_process_of_its_page_are_reported(tmp_path, cloc
     assert messages[7] == ("back to 0.0001 s from 0.0002 s: what is turned holds from there on", False, 1e-4)
     assert control.held
     assert source.status["dc_motor_plant"]["state"] == "running"
-    assert source.branched == [{"at_s": 1e-4, "from_s": 2e-4, "left": ""}]  # without a folder nothing is kept
+    assert source.branched == [{"at_s": 1e-4, "from_s": 2e-4, "left": ""}]  # without a folder the branch is not saved
     source.session.go()
     source.read_new()
     assert {s["state"] for s in source.status.values()} == {"done"}
@@ -372,7 +372,7 @@ def quiet(monkeypatch, tmp_path):
     NoPages.made.clear()
     folder = ResultsFolder(tmp_path / "run")
     folder.clear()
-    loop = IOLoop(make_current=False)  # what a page leaves in its loop ends with its process
+    loop = IOLoop(make_current=False)  # the page schedules callbacks in its loop, which must end with the test
     monkeypatch.setattr(IOLoop, "current", staticmethod(lambda *_: loop))
     yield folder
     loop.close()
@@ -462,7 +462,7 @@ def test_a_free_port_is_found_at_an_address(address, host):
     try:
         result, port = free_address(address)
     except ScenarioError:
-        assert host == "::1"  # only a machine without IPv6 has no such address
+        assert host == "::1"  # a machine without IPv6 has no such address
         return
     assert result == host
     assert 1023 < port < 65536
@@ -591,7 +591,8 @@ def test_a_completed_run_is_shown_until_the_last_browser_has_gone(pages):
     for connections in ([], [0], [], [0, 1], [1], [0], []):
         pages.server.sessions = [SimpleNamespace(connection_count=n) for n in connections]
         results.append(pages.left())
-    assert results == [False] * 6 + [True]  # a request alone is no page; a page that left may be reloaded
+    # Only after a page was connected; a session without a connection may be a request or a reload.
+    assert results == [False] * 6 + [True]
 
 
 def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run):
@@ -602,11 +603,11 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
     one = SimpleNamespace(not_judged=lambda why: "a result")
     monkeypatch.setattr(serve, "evaluate", lambda rig, pane, under_way: measured.append(len(pane)) or [one])
     pages.measure()
-    assert not measured  # a recording has its figures already
+    assert not measured  # figures of a recording exist already
     pages._source.live = True
 
     def done(seconds):
-        pages._worker.submit(lambda: None).result()  # the single worker has finished all earlier measurements
+        pages._worker.submit(lambda: None).result()  # the only worker thread has finished all earlier measurements
         clock.now += seconds
         (call, words) = pages.server.io_loop.calls.pop()
         call(*words)
@@ -625,7 +626,7 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
     assert pages._figures() == (["a result"], True)
     pages._source.thinned = True
     pages.measure()
-    assert len(measured) == 2  # a recording thinned to its extremes is not measured
+    assert len(measured) == 2  # a recording that was thinned is not measured
     del pages._source.thinned
     pages._source.results = [r.model_dump(by_alias=True) for r in run.results]
     pages.measure()
@@ -743,7 +744,7 @@ def test_a_page_beside_a_run_follows_the_files_of_the_nodes_until_it_ends(
     assert going == ((held, None) if more.get("realtime") else (not held, 9.0)) + ("", False)
     assert over[2:] == ("broke: so", True)
     assert last == ("the run", "broke: so", True)
-    assert changes == ["delta = 1.5 from this tick on"]  # once
+    assert changes == ["delta = 1.5 from this tick on"]  # a change is reported once
     assert remotes == [(3, tmp_path), "closed"]
     assert made[0].about == ("container", "127.0.0.1:0")
     assert made[0].closed
@@ -825,7 +826,7 @@ def test_the_process_of_a_page_gets_its_configuration(tmp_path, monkeypatch):
     assert beside.keeper.daemon
 
 
-# processes beside, which are not started ------------------------------------------------------------------------------
+# processes beside it, as stand-ins -----------------------------------------------------------------------------
 
 
 class Piped:
@@ -981,7 +982,7 @@ def test_a_page_that_ends_with_its_run_is_not_restarted(tmp_path, monkeypatch, c
 
 @pytest.mark.parametrize(
     ("scenario", "node", "used", "idle"),
-    [  # links are found by the words before a colon, by nested names and by words in backquotes
+    [  # A link is recognised by the words before a colon, by nested names and by words in backquotes.
         ("tcp_aqm_smc", "aqm_controller", {"k1", "boundary", "anti_windup"}, {"l1", "pid_gain", "a"}),
         ("manipulator_adsmc", "vcs_controller", {"v_max", "adsmc.a1"}, {"dsmc.a1", "smc.rho"}),
         ("dc_motor_smc_faults", "noise", {"value", "active"}, {"points", "delay"}),

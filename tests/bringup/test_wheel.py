@@ -65,7 +65,8 @@ def test_its_page_lists_its_content():
     shown = re.findall(r"^    softrig (\w+)", PAGE, re.MULTILINE)
     assert {"list", "run", "new"} <= set(shown) <= set(make_parser()._subparsers._group_actions[0].choices)
     assert not {"setup", "docs", "bench", "env"} & set(shown)
-    assert re.findall(r"scripts/softrig (\w+)", PAGE) == ["python", "VERB"]  # how it is made, and what to read instead
+    # One builds the wheel; instead of the other, type `softrig VERB`.
+    assert re.findall(r"scripts/softrig (\w+)", PAGE) == ["python", "VERB"]
 
 
 WITHOUT = """

@@ -18,7 +18,7 @@ AVOIDED = re.compile(
     r"\b(anew|seldom|lest|whomever|wherefore|who (?:reads|says|sends)|(?:is|are) told|hands? (?:on|out)\b(?! of))\b",
     re.IGNORECASE,
 )
-# a docstring that begins so does not say what its function does
+# A docstring that begins with such a word does not state what its function does.
 FIRST = re.compile(
     r'^ *(?:(?:async )?def [^\n]*|\)[^\n]*):\n +r?"{3}((?:Give|What|Whether|Have|Take|Say|Tell|Make)\b[^\n]*)',
     re.MULTILINE,
@@ -34,16 +34,16 @@ BEFORE = {
     "in": re.compile(r"\bfor (?:\w+, )*\Z"),
 }
 ALLOWED = {
-    # names of Python, keys of files and parameters of documented functions
+    # Exempt: names of Python, keys of files and parameters of documented functions.
     "what": "environment environments linear_view steady expand session simulate new look",
     "where": "definition claims requirement_entry findings instance",
     "of": "definition",
-    # texts of generated code
+    # Exempt: placeholders in generated code.
     "found": "cdr",
     # the publisher of a link and the author of a line, beside `name` of the same row
     "who": "sender control",
 }
-# parts of names of functions, classes and fields; `tell` is the standard name beside `ask`
+# Parts of names of functions, classes and fields; `tell` is the optimisers' standard name beside `ask`.
 DEFINED = re.compile(
     r"^ *(?:async )?def (\w+)|^ *class (\w+)|\bself\.(\w+)(?:: [^=\n]+)? = |^    (\w+): ", re.MULTILINE
 )

@@ -95,7 +95,8 @@ def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, con
     assert names == set(states.labels)
     wanted = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall("command_interface")}
     assert wanted == {f"{name}/{field}" for name in known for field in commands.fields}
-    assert float(system["trigger_joint_command_threshold"]) < 0  # or a command that does not change is not sent
+    # The driver must send a command even if it has not changed.
+    assert float(system["trigger_joint_command_threshold"]) < 0
     content = yaml.safe_load((PACKAGES / config).read_text())
     manager = content.pop("controller_manager")["ros__parameters"]
     law = next(m for m in rig.members for p in m.outputs if p.topic == commands.topic)

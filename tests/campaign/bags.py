@@ -60,13 +60,13 @@ def retyped(victim: Path, chance: random.Random) -> None:
             table = chance.choice([row[0] for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")])
             column = chance.choice([row[1] for row in db.execute(f"PRAGMA table_info({table})")])
             value = chance.choice([None, -1, 1.5, 2**62, "text", "", b"", b"\xff" * 9])
-            with suppress(sqlite3.Error):  # some columns hold what they are told to
+            with suppress(sqlite3.Error):  # SQLite refuses some values in some columns
                 db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid % ? = 0", (value, chance.choice((1, 7))))
             db.commit()
     elif victim.suffix == ".yaml":
         content = yaml.safe_load(victim.read_text())
         places = [(content, key) for key in content]
-        for holder, key in places:  # grows
+        for holder, key in places:  # `places` grows during the loop
             inner = holder[key]
             places += (
                 [(inner, k) for k in (inner if isinstance(inner, dict) else range(len(inner)))]
@@ -90,7 +90,8 @@ def attack(seed: int, directory: Path) -> None:
             victim.unlink()
             break
         if chance.random() < 0.3 and victim.stat().st_size:
-            with suppress(yaml.YAMLError, sqlite3.Error, UnicodeDecodeError, TypeError):  # damaged before
+            # An earlier step may have damaged the file.
+            with suppress(yaml.YAMLError, sqlite3.Error, UnicodeDecodeError, TypeError):
                 retyped(victim, chance)
             continue
         victim.write_bytes(damaged(victim.read_bytes(), chance))

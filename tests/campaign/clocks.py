@@ -22,8 +22,9 @@ from softrig_core import load_scenario, rig_of
 from traces import orphans
 
 RIGS = ("dc_motor_smc_b2", "induction_dtc", "dc_motor_fsfb_s1_none", "manipulator_adsmc")
-SLOW = ("manipulator_adsmc", "rehab_impedance", "optimal_control_mvim")  # keep up with the wall clock on a busy machine
-LENGTHS = (1e-3, 0.5, 10.0, 3600.0, 86400.0, 1e8)  # s, from where it is, to either side
+# Rigs that may not keep up with the wall clock on a busy machine.
+SLOW = ("manipulator_adsmc", "rehab_impedance", "optimal_control_mvim")
+LENGTHS = (1e-3, 0.5, 10.0, 3600.0, 86400.0, 1e8)  # s, by which the clock jumps in either direction
 SHIM = Path(__file__).with_name("clock.c")
 
 

@@ -34,7 +34,7 @@ STRANGE = (
     "\r", "\n",
 )  # fmt: skip
 RAW = ("NoneType", "object has no", "object is not", "Traceback", "unsupported operand", "codec can't", "Error(")
-LONGEST = 3000  # letters of a refusal: it names parameters with their values
+LONGEST = 3000  # letters of a refusal, which names parameters with their values
 URDF = ROOT / "ros_pkgs/softrig_robots/softrig_robots/urdf/two_link.urdf"
 UNITS = "unit;p_min_MW;p_max_MW;a_usd_per_MW2h;b_usd_per_MWh;c_usd_per_h\na;1;200;0,002;10;5\nb;1;300;0,003;9;4\n"
 
@@ -102,7 +102,7 @@ def robot(chance: random.Random, directory: Path) -> None:
     links = re.findall(r"<link[^>]*?[^/]>.*?</link>", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL), re.DOTALL)
     messages = [float(m) for link in links for m in re.findall(r'<mass\s+value\s*=\s*"([^"]*)"', link)]
     assert not messages or moved <= sum(messages) * (1.0 + 1e-9), f"{moved} kg of {messages}"
-    if len(messages) == 2:  # both links move: nothing is dropped in silence
+    if len(messages) == 2:  # both links move, so no mass may be dropped
         assert abs(moved - sum(messages)) <= 1e-9 * sum(messages), f"{moved} kg of {messages}"
 
 
@@ -222,7 +222,8 @@ def library(chance: random.Random, directory: Path) -> None:
     finally:
         children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
         shims = [c for c in children if "shim_" in program_of(c)]
-        ended = ("CRASH", "ABORT", "RECURSE", "EXIT", "CLOSES", "FORKS")  # the others end when the run is forgotten
+        # The other shims end only when the run is garbage collected.
+        ended = ("CRASH", "ABORT", "RECURSE", "EXIT", "CLOSES", "FORKS")
         assert not shims or name not in ended, f"{name}: left {shims}"
 
 

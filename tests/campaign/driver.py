@@ -18,9 +18,9 @@ import traceback
 from pathlib import Path
 
 CASE_LIMIT = 240  # s; on a loaded machine too
-SLICE = 25  # cases of one worker; the limit on time is looked at between two
-LEAVE = 60.0  # s for the cases that run when a campaign ends
-MEMORY = 6 << 30  # bytes of address space of a worker; numba and pyarrow reserve much that they do not use
+SLICE = 25  # cases of one worker; the time limit is checked in between
+LEAVE = 60.0  # s that cases still running at the end of a campaign get
+MEMORY = 6 << 30  # bytes of address space for a worker; numba and pyarrow reserve much more than they use
 
 PR_SET_PDEATHSIG = 1
 
@@ -38,14 +38,14 @@ def _alarm(number: int, frame: object) -> None:
 
 
 def _stop(number: int, frame: object) -> None:
-    signal.signal(number, signal.SIG_IGN)  # cleaning up is not interrupted again
+    signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the clean-up
     raise Stopped
 
 
 def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path | None) -> None:
     """Run the cases of some seeds; one line of findings each goes to the queue."""
     faulthandler.enable()
-    # A campaign that is killed leaves no rig behind: each case ends what it has started.
+    # A killed campaign must not leave rigs behind: each case ends the processes it has started.
     signal.signal(signal.SIGTERM, _stop)
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
@@ -69,7 +69,7 @@ def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path
                 signal.alarm(0)
             if finding and keep is not None:
                 (directory / "finding").write_text(finding)
-                with contextlib.suppress(shutil.Error, OSError):  # files that the case has made unreadable
+                with contextlib.suppress(shutil.Error, OSError):  # the case may have made files unreadable
                     shutil.copytree(directory, keep / f"{area}-{seed}", dirs_exist_ok=True, symlinks=True)
         results.put((area, seed, "lost" if finding else "survived", finding, cpu() - used))
 
@@ -112,7 +112,8 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
                     entry[2] = seed if state == "begun" else None
                     if state != "begun":
                         entry[1].remove(seed)
-            if state != "begun" and not (finding and time.monotonic() >= deadline):  # it received a signal to stop
+            # A finding after the deadline only means that the worker was stopped.
+            if state != "begun" and not (finding and time.monotonic() >= deadline):
                 table[area][0] += 1
                 table[area][1] += state == "survived"
                 table[area][3] += seconds
@@ -133,7 +134,8 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
         for process in [p for p in running if not p.is_alive()]:
             collect(0.2)
             area, left, at = running.pop(process)
-            if left and not stopped:  # the worker died: in a case, or before its first; the others go on
+            # The worker died within a case or before its first; another one takes the remaining cases.
+            if left and not stopped:
                 at = min(left) if at is None else at
                 table[area][0] += 1
                 table[area][2].append((at, f"the process ended with status {process.exitcode}"))

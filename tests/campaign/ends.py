@@ -49,7 +49,7 @@ CASES = [
 SIGNALS = [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT,) * 2, (signal.SIGTERM,) * 2,
            (signal.SIGINT, signal.SIGTERM), (signal.SIGHUP,), (signal.SIGQUIT,) * 2]  # fmt: skip
 TICKS = 400
-LATEST = 6.0  # s
+LATEST = 6.0  # s from the signal to the end of the process
 
 
 def attack(seed: int, directory: Path) -> None:
@@ -60,7 +60,8 @@ def attack(seed: int, directory: Path) -> None:
     name, out, text = drawn(chance), directory / "out", directory / "said"
     rig = rig_of(name)
     duration = rig.clock.schedule.time(min(TICKS, rig.ticks - 1)) / SECOND
-    if (mode, phase) == ("container", "loop"):  # its nodes run natively, within 0.1 s of one report of progress
+    # Its nodes run natively, so a shorter run would end before its first report of progress.
+    if (mode, phase) == ("container", "loop"):
         duration *= 100.0
     command = [door, name, "--mode", mode, "--duration", repr(duration), "--seed", str(seed), "--out", str(out)]
     command += ["--running", "--pace", "full"] if door == "view" else []
@@ -92,7 +93,7 @@ def attack(seed: int, directory: Path) -> None:
 
 def marked(phase: str, duration: float, marks: int, go_read: int, go: int) -> None:
     """Make the run report the beginning of a phase, and wait there until it has been interrupted."""
-    os.close(go)  # else the end of the wait below would not be seen
+    os.close(go)  # otherwise the read below would not end when the other process closes the pipe
     if phase == "any":
         os.write(marks, b"x")
         return
@@ -163,14 +164,14 @@ def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], printed:
     """Compare status and report with the files."""
     lines = [line for line in printed.splitlines() if line.startswith("softrig: stopped")]
     written = (out / "metrics.json").exists() and (out / "report.html").exists()
-    if phase == "page" or (phase == "any" and status in (0, 1)):  # the run had ended before
+    if phase == "page" or (phase == "any" and status in (0, 1)):  # the run may have ended before the signal
         assert status in (0, 1), f"status {status}: {printed[-500:]}"
         assert written, "judged, but not all is written"
         assert not lines, lines
         return
-    if phase == "any" and not out.exists() and status < 0:  # before the command line was read
+    if phase == "any" and not out.exists() and status < 0:  # the signal arrived before the command line was parsed
         return
-    # Another second signal may end the run while the end is written that the first one has caused.
+    # A second, different signal may interrupt the writing of results that the first one has caused.
     ends = signals if phase in ("nodes", "loop", "any") else signals[:1]
     number = next((s for s in ends if status == 128 + s), None)
     assert number is not None, f"status {status}: {printed[-500:]}"

@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 SCENARIO = ["run", "dc_motor_smc_b2", "--duration", "0.05"]
 STATUSES = {0, 1, 2, 3, 130, 141}
 SILENT = ("Traceback (most recent call last)", "Exception ignored", "core dumped", "Fatal Python error")
-LIMIT = 150.0  # s
+LIMIT = 150.0  # s for one case
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Case:
     stderr: int | None = None
     before: list[Callable[[], object]] = field(default_factory=list)
     prefix: list[str] = field(default_factory=list)
-    any_status: bool = False  # the interpreter itself may not live
+    any_status: bool = False  # the case may break the interpreter itself
 
     @property
     def work(self) -> Path:

@@ -28,9 +28,9 @@ from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import environment
 from std_srvs.srv import Trigger
 
-LENGTH = 8.0  # s of a flood
-PACE = 5.0  # of a container in lockstep: by itself it writes some GB in the time of a case
-STANDS = 2.0  # s without a tick after which a rig must report the reason
+LENGTH = 8.0  # s that a flood lasts
+PACE = 5.0  # real-time factor of a container in lockstep; without a limit it writes gigabytes in a case
+STANDS = 2.0  # s without a tick, after which a rig must report the reason
 CLIENT = """
 import importlib, os, random, sys, time
 import rclpy
@@ -108,12 +108,12 @@ os._exit(0)  # with all answers under way
 """
 PYTHON = "in Python"  # a container without native code
 REASONS = ("stands", "services", "paused")
-MOTOR = ("dc_motor_smc", "/dc_motor_plant", "/dc_motor_smc")  # scenario, its clock, the node that is called
+MOTOR = ("dc_motor_smc", "/dc_motor_plant", "/dc_motor_smc")  # scenario, node of its clock, node that is called
 ARM = ("manipulator_adsmc", "/manipulator_plant", "/trajectory_source")
 KINDS = dict.fromkeys(("refused", "set", "list", "pauses", "steps"), MOTOR) | {"trajectories": ARM}
 KINDS |= {"simulation": MOTOR} if find_spec("simulation_interfaces") else {}
 KINDS |= {"goals": ARM} if find_spec("control_msgs") else {}
-STOP = ("pauses", "steps", "simulation")  # floods that may leave a rig paused
+STOP = ("pauses", "steps", "simulation")  # floods that can leave a rig paused
 PLACES: tuple[tuple[str, ...], ...] = (
     ("processes",),
     ("container",),
@@ -126,13 +126,13 @@ PLACES: tuple[tuple[str, ...], ...] = (
 def attack(seed: int, directory: Path) -> None:
     """One rig under one kind of flood."""
     what = list(KINDS)[seed % len(KINDS)]
-    # the services of simulation_interfaces exist in lockstep only
+    # The services of simulation_interfaces exist in lockstep only.
     places = [place for place in PLACES if what != "simulation" or "--realtime" not in place]
     place = places[seed // len(KINDS) % len(places)]
     scenario, clock, node = KINDS[what]
     (directory / "case").write_text(f"{what} {' '.join(place)}\n")
     with free_domain() as domain:
-        pass  # the run reserves it
+        pass  # only find a free domain; the run reserves it itself
     os.environ.update(environment(domain, directory))
     os.environ["SOFTRIG_JIT"] = "0" if PYTHON in place else "1"
     options = [option for option in place if option != PYTHON]
@@ -164,7 +164,7 @@ def attack(seed: int, directory: Path) -> None:
         assert after > 0.2 * before, f"{before:.0f} ticks a second before, {after:.0f} after"
         if what not in STOP or what == "steps":
             assert during > 0.05 * before, f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
-        # on a loaded machine the report arrives late
+        # On a loaded machine the report is late.
         late = STANDS * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
         assert watch.unexplained < late, f"it stood for {watch.unexplained:.1f} s and did not say why"
         process.send_signal(signal.SIGINT)

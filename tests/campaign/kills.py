@@ -19,7 +19,7 @@ from softrig_core import Recording, Scenario, list_scenarios, load_scenario, rig
 from traces import left_in_memory, of_run, orphans, segments
 
 ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
-LATEST = 4.0  # s
+LATEST = 4.0  # s from the kill to the end of all nodes
 
 
 class Enough(Exception):
@@ -51,7 +51,7 @@ def attack(seed: int, directory: Path) -> None:
     (directory / "case").write_text(" ".join(command) + "\n")
     before = segments()
     runner = fork(command, text)
-    handle = os.pidfd_open(runner)  # the process number may have been reused by then
+    handle = os.pidfd_open(runner)  # the pid may be reused by then
     try:
         strike_and_judge(chance, runner, name, seed, directory, before)
     finally:
@@ -66,7 +66,7 @@ def strike_and_judge(
 ) -> None:
     """Kill at some moment and examine everything that remains."""
     out, message = directory / "out", directory / "said"
-    if chance.random() < 0.7:  # while nodes record; otherwise at any moment
+    if chance.random() < 0.7:  # mostly while nodes record, sometimes at any moment
         deadline = time.monotonic() + 60.0
         while not any((out / "log").glob("*.shard")) and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -138,10 +138,10 @@ def ended(runner: int) -> int:
 
 def judge_status(status: int, victim: str, number: int, text: str, out: Path) -> None:
     """Compare the exit status with what was done."""
-    over = (0, 1)  # the run had ended, or almost ended, before the signal
+    over = (0, 1)  # the run may have ended before the signal
     if victim == "runner":
         allowed = (-number,) if number == signal.SIGKILL else (ENDINGS[number],)
-        if not out.exists():  # the command line itself was still being read
+        if not out.exists():  # the command line was still being parsed
             allowed = (*allowed, -number)
     else:
         allowed = (3,)
@@ -163,7 +163,7 @@ def judge_record(scenario: Scenario, seed: int, out: Path, directory: Path) -> N
         assert status == 0, "the shards of a killed run cannot be repaired"
     recording = read_bag(bag)
     reference = expected(scenario, seed, max((t.times[-1] for t in recording.topics.values() if t.times), default=0))
-    for name, whole in reference.topics.items():  # other displayed values follow from these
+    for name, whole in reference.topics.items():  # compare the topics; all other values derive from them
         if (topic := recording.topics.get(name)) is None:
             continue
         n = len(topic.times)

@@ -29,8 +29,8 @@ from softrig_core.firmware.files import export_firmware
 from softrig_core.scenario.scenario import merge, read_draft
 
 SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
-TICKS, WAIT = 20, 0.005  # of a session; s a tick
-SLOWEST = 3.0  # s that a tick may take: python-can waits for 2 s when it opens an adapter again
+TICKS, WAIT = 20, 0.005  # ticks of a session; s a tick
+SLOWEST = 3.0  # s for the slowest tick: python-can waits 2 s when it opens an adapter again
 WORDS = (b"", b"9" * 400, b'"', b"-", b"1e400", b"null", b"[]", b"{", b"\0", b"\n", b"\xff", b"NaN", b"'")
 ANSWERS = ("silent", "close", "garbage", "huge", "errors", "short", "long", "liar", "empty", "late", "length", "frame")
 
@@ -92,7 +92,7 @@ def session(line, layout: Layout) -> None:
             return
         elapsed = time.monotonic() - begun
         assert answer is None, f"an answer was taken: {answer!r}"
-        assert k == 0 or elapsed < SLOWEST, f"tick {k} took {elapsed:.2f} s"  # the first one opens
+        assert k == 0 or elapsed < SLOWEST, f"tick {k} took {elapsed:.2f} s"  # the first tick opens the link
 
 
 def plc(chance: random.Random, member) -> None:

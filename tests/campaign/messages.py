@@ -40,7 +40,8 @@ PORTS = (
 def attack(seed: int, directory: Path) -> None:
     """Decode 100 damaged messages of each kind, with a good one in between."""
     chance = random.Random(seed)
-    with (directory / "message").open("wb", buffering=0) as kept:  # opened for each, the disk would be waited for
+    # Unbuffered, and opened once: closing it each time would wait for the disk.
+    with (directory / "message").open("wb", buffering=0) as kept:
         for port in PORTS:
             layout, decode = port.layout(), Decoder(port)
             good = [

@@ -32,9 +32,9 @@ from std_srvs.srv import Trigger
 
 from bags import damaged
 
-MESSAGES = 200  # a case
-BURST = 8  # less than what a reader keeps
-MEMORY = 2000  # MB
+MESSAGES = 200  # of one case
+BURST = 8  # fewer messages than a subscriber queues
+MEMORY = 2000  # MB of a node
 
 
 class Attacker:
@@ -52,7 +52,7 @@ class Attacker:
         self.node, self.executor, self.chance, self.live = node, executor, chance, live
         self.ports = inputs
         layouts = [p.layout() for p in inputs]
-        if not live:  # an array that is out of turn ends a run in lockstep, as it should
+        if not live:  # in lockstep an array of a wrong tick ends the run, as it should
             layouts = [Layout(*layout.form[:-1]) for layout in layouts]
         self.encoders = [encoder(layout, {"": 0}, "") for layout in layouts]
         self.decoders = [Decoder(p) for p in inputs]
@@ -85,7 +85,7 @@ class Attacker:
                 self.decoders[k](data)
             except Refused:
                 self.bad[self.ports[k].topic] += 1
-            with suppress(RCLError):  # too short for our own middleware
+            with suppress(RCLError):  # too short even for rclpy to publish
                 self.publishers[k].publish(data)
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=1))
@@ -113,7 +113,7 @@ class Attacker:
         """Call a service; it must answer."""
         assert client.wait_for_service(timeout_sec=25.0), f"no service {what}"
         future = client.call_async(request)
-        deadline = time.monotonic() + 25.0  # a press may be worth a second of work, and there were many
+        deadline = time.monotonic() + 25.0  # each press can cause a second of work
         while not future.done():
             assert time.monotonic() < deadline, f"{what} does not answer"
             self.executor.spin_once(0.02)
@@ -158,7 +158,7 @@ def bombard(
     while not status.exists():
         if process.poll() is not None:
             assert process.returncode == 2, f"it ended at its start with status {process.returncode}"
-            return  # the node requires parameters and reported this
+            return  # the node requires parameters and has reported so
         time.sleep(0.02)
     inputs, outputs = block.ports(block.Params())
     context = Context()

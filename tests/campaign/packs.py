@@ -33,7 +33,7 @@ def attack(seed: int, directory: Path) -> None:
         folder = packed.opened(file) if packed.is_pack(file) else None
         listed = list(cargo.cargo_of(folder, packed.about(folder))) if folder else []
     except ScenarioError as error:
-        listed = str(error).splitlines()[1:]  # a refusal is one line
+        listed = str(error).splitlines()[1:]  # the message of a refusal is its first line
     left = list((directory / "cache").rglob(".new_*"))
     assert not left, f"left in the cache: {left[:3]}"
     assert all(line.isascii() and line.startswith(("package ", "FMU ", "node ")) for line in listed), listed

@@ -40,7 +40,7 @@ def executables() -> Iterator[tuple[str, str, type[Block]]]:
         for name in renamed.executables(package):
             try:
                 yield package, name, load_block(package, name)
-            except ScenarioError:  # a tool
+            except ScenarioError:  # the executable is a tool, not a node
                 continue
 
 
@@ -54,7 +54,7 @@ def extreme(declaration: Declaration, chance: random.Random) -> object:
     """Return a value at or beyond a bound, or of another type."""
     default, low, high = declaration.default, declaration.lower, declaration.upper
     edges: list[float] = [bound for bound in (low, high) if bound is not None]
-    if chance.random() < 0.6:  # all within the bounds: what the models themselves make of it
+    if chance.random() < 0.6:  # stay within all bounds, so that the model's own checks decide
         inside = [math.nextafter(edge, 0.0) for edge in edges] + [n for n in NUMBERS if edges and low <= n <= high]
         if declaration.type is bool:
             return not default
@@ -114,7 +114,7 @@ def attack(seed: int, directory: Path) -> None:
     try:
         run_one(package, executable, block, values, seed)
     except (ScenarioError, RunError) as error:
-        # the command line truncates longer text; the reason must be in the part that it prints
+        # The command line truncates a longer text, so the reason must be in the part that it prints.
         text = str(error)[:1000]
         if "victim" not in text:
             raise AssertionError(f"{executable}: the node is not named: {text[:300]}") from None
@@ -133,7 +133,7 @@ def run_one(package: str, executable: str, block: type[Block], values: dict, see
     ports = [
         replace(p, name=f"out{i}", held=False, partial=False, sporadic=False) for i, p in enumerate(inputs.values())
     ]
-    # drawn problems may keep a solver busy for days, so it gets a time limit
+    # A solver may take days for random parameters, so it gets a time limit.
     limit = {"limit": 20.0} if issubclass(block, Solver) else {}
     entries = {"victim": {"package": package, "executable": executable, "parameters": limit | values}}
     classes: dict[str, type[Block]] = {"victim": block}
@@ -155,7 +155,7 @@ def _inputs(block: type[Block], values: dict) -> tuple[Port, ...]:
     try:
         return block.ports(build(block.Params, values))[0]
     except ParameterError:
-        return ()  # the rig reports this itself
+        return ()  # the rig reports this error itself
 
 
 if __name__ == "__main__":

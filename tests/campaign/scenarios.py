@@ -30,7 +30,7 @@ def mutated(text: str, chance: random.Random) -> str:
     kind = chance.randrange(9)
     if kind <= 3:  # the value after a colon
         if not (places := list(re.finditer(r": *([^\n{},\[\]]+)", text))):
-            return text  # mutated before to a text without a value
+            return text  # an earlier mutation has removed the value
         place = chance.choice(places)
         return text[: place.start(1)] + chance.choice(JUNK) + text[place.end(1) :]
     if kind == 4:

@@ -40,8 +40,8 @@ from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import environment, find_executable
 
 ROOT = Path(__file__).parents[2]
-ANSWER, START = 60.0, 120.0  # s in which a service answers, and in which it is there, on a loaded machine too
-PAUSE = "expected a pause of"  # the refusal of more calls than a node can answer beside its ticks
+ANSWER, START = 60.0, 120.0  # s until a service answers, and until it exists, on a loaded machine
+PAUSE = "expected a pause of"  # the message of a node that gets more calls than it can answer between its ticks
 
 
 def value(kind: str, **content: object) -> ParameterValue:
@@ -69,7 +69,7 @@ HOSTILE = (
     ParameterValue(type=255, double_value=1.0),
 )
 NUMBER_OR_NONE = (Type.PARAMETER_NOT_SET, Type.PARAMETER_DOUBLE)
-STRANGE = ("no.such", "", "run", "run.", ".", "a" * 5000, "\x00", "é")  # names that no node has
+STRANGE = ("no.such", "", "run", "run.", ".", "a" * 5000, "\x00", "é")  # names of no parameter
 FIELDS = ("", "bool_value", "integer_value", "double_value", "string_value")
 FIELDS += ("byte_array_value", "bool_array_value", "integer_array_value", "double_array_value", "string_array_value")
 
@@ -123,7 +123,7 @@ class Target:
     def get(self, names: Sequence[str]) -> dict[str, ParameterValue]:
         """Return the present values of the parameters that have one."""
         results = {}
-        for name in names:  # rclpy answers a list with one that has no value by an empty list
+        for name in names:  # if one of several parameters has no value, rclpy's answer is empty
             for one in self.call(GetParameters, f"{self.name}/get_parameters", names=[name]).values:
                 results[name] = one
         return results
@@ -159,7 +159,8 @@ class Target:
                 assert len(result.reason) < 3000, where
                 assert "Error" not in result.reason, f"{where}: {result.reason}"
             now = self.get([name]).get(name)
-            if now is None or kept is None or kept.type == Type.PARAMETER_NOT_SET:  # an optional one may get a value
+            # An optional parameter may get a first value.
+            if now is None or kept is None or kept.type == Type.PARAMETER_NOT_SET:
                 assert now is None or now == kept or result.successful, where
                 assert now is None or not descriptor.floating_point_range or now.type in NUMBER_OR_NONE, where
                 self.values[name] = kept = now or kept
@@ -258,12 +259,12 @@ def attack(seed: int, directory: Path) -> None:
     (directory / "case").write_text(f"{package} {name} {state}\n")
     with alone(package, name, state, directory) if package else rig(name, state, directory) as (domain, alive):
         if domain is None:
-            return  # the node requires parameters and reported this
+            return  # the node requires parameters and has reported so
         call = Client(domain)
         try:
             nodes = alive()
             chance = random.Random(seed)
-            # ticks have priority over services, so each seed tries only some of the parameters
+            # Ticks have priority over services, so each seed tries only some of the parameters.
             for node in chance.sample(nodes, min(2, len(nodes))):
                 target = Target(call, node)
                 names = target.names if package else chance.sample(target.names, min(2, len(target.names)))
@@ -314,7 +315,7 @@ def rig(scenario: str, state: str, directory: Path) -> Iterator[tuple]:
     """Run a scenario for a long time; return its domain and a check that it continues."""
     message, files = directory / "said", directory / "run"
     with free_domain() as domain:
-        pass  # the run reserves it
+        pass  # only find a free domain; the run reserves it itself
     os.environ.update(environment(domain, directory))
     command = [sys.executable, "-m", "softrig_bringup", "run", scenario, "--duration", "1000", "--no-record"]
     command += ["--mode", "processes" if state == "processes" else "container", "--domain", str(domain), "--no-plots"]

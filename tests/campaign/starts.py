@@ -17,7 +17,7 @@ from softrig_nodes import run_processes
 from softrig_nodes.processes.placement import Placement
 from traces import orphans
 
-TICKS = 1500  # maximum for a run
+TICKS = 1500  # upper limit for a run
 NANO = 10**9
 
 

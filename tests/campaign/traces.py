@@ -61,7 +61,7 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
         first = 7400 + 250 * (-1000 if domain is None else domain)
         own_ports = {f"{fast}port{n}" for fast in FAST for n in range(first, first + 250)}
         for _ in range(3):
-            time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
+            time.sleep(AGE + 0.1)  # the clearing skips files younger than AGE
             remove_leftovers(domain)
             with ExitStack() as locks:
                 left &= {n for n in segments() if _judged(n, own_ports) and _is_abandoned(SHARED / n, locks)}

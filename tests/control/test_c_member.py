@@ -135,7 +135,7 @@ def test_native_code_calls_it_by_its_address(monkeypatch: pytest.MonkeyPatch, ma
     """In Python's text, and by numba; if the library returns a status, Python runs the tick."""
     native = the_same(lambda: rig_with(PI), monkeypatch, make)
     assert native.ticks >= 48
-    fitted._counts.clear()  # the library has changed
+    fitted._counts.clear()  # forget the code generated for the former library
     broken = the_same(lambda: rig_with(faulty("CRASH")), monkeypatch, make)
     assert broken.given_up == 1
 
@@ -156,7 +156,7 @@ def test_a_c_member_is_rewound_branched_and_changed_live() -> None:
 
 def test_hidden_state_gives_the_same_run_as_declared_state_and_is_reported() -> None:
     pure, hiding = simulate(rig_with(PI)), [simulate(rig_with(faulty("STATIC"))) for _ in range(2)]
-    for run in hiding:  # a run leaves nothing to the next
+    for run in hiding:  # the state of one run does not affect the next
         assert run.recording.topics == pure.recording.topics
         level, text, _ = run.blocks["dc_motor_pid"].reports["hidden_state"]
         assert (level, "pi.c keeps state outside of pi: integral; " in text) == (1, True)
@@ -257,11 +257,12 @@ def test_the_floating_point_mode_of_the_processor_is_restored(isolated: bool) ->
     """If it rounded upward, one plus half of its last bit would be more than one; if it flushed, a subnormal number
     would be 0.
     """
-    least, bit = struct.unpack("2d", struct.pack("2d", 5e-324, 2.0**-53))  # values that the compiler cannot fold
+    # Volatile inputs, which the compiler cannot fold.
+    least, bit = struct.unpack("2d", struct.pack("2d", 5e-324, 2.0**-53))
     with pytest.raises(RunError, match="leaves the processor with another rounding mode"):
         simulate(rig_with(faulty("ROUNDING", isolated=isolated)))
     simulate(rig_with(PI | {"flags": ["-ffast-math"]}, duration=0.05))
-    # as bytes: to a processor that flushes them, all subnormal numbers equal 0
+    # Compare bytes: a CPU that flushes subnormal numbers also compares them as 0.
     assert struct.pack("2d", 1.0 + bit, least * 2.0) == struct.pack("dq", 1.0, 2)
 
 
@@ -350,7 +351,7 @@ def test_the_result_of_new_runs_as_its_scenario_expects(language: str, tool: str
         subprocess.run(command, cwd=scenario.parent, check=True)
     run = simulate(str(scenario))
     assert not run.missed, run.figures
-    assert not run.blocks["my_pi"].reports  # no state is hidden, Rust's own library left aside
+    assert not run.blocks["my_pi"].reports  # statics of Rust's own library are not reported as hidden state
 
 
 @pytest.mark.long

@@ -10,7 +10,8 @@ import pytest
 from expected_text import check_expected
 from softrig_control.fmu.instance import Instance, Plan, Refusal
 
-NOTHING = (False, False, False, False, False, 0.0)  # of an event: no other round, no end, no values moved, no next time
+# The result of an event: no further round, no end, no values changed, no next event.
+NOTHING = (False, False, False, False, False, 0.0)
 
 ALIKE = {"getContinuousStateDerivatives": "getDerivatives", "updateDiscreteStates": "newDiscreteStates",
          "getInteger": "getReal", "getInt32": "getReal", "getBoolean": "getReal",
@@ -18,7 +19,7 @@ ALIKE = {"getContinuousStateDerivatives": "getDerivatives", "updateDiscreteState
 
 
 def word(x):
-    if hasattr(x, "_length_"):  # an array of C
+    if hasattr(x, "_length_"):  # a ctypes array
         return word(list(x))
     return f"[{' '.join(map(word, x))}]" if isinstance(x, list) else f"{x:.6g}" if isinstance(x, float) else repr(x)
 
@@ -38,7 +39,8 @@ class Played:
             result = self.answers[name].pop(0) if self.answers.get(name) else None
             if result is None:
                 result = getattr(self, f"_{ALIKE.get(name, name)}", lambda *_, **__: None)(*arguments)
-            words = [*map(word, arguments), *(f"{k}={word(v)}" for k, v in named.items())]  # with what it has written
+            # Logs the text after the call, with the values it has written.
+            words = [*map(word, arguments), *(f"{k}={word(v)}" for k, v in named.items())]
             self.calls.append(f"{name}({', '.join(words)})")
             if isinstance(result, Exception):
                 raise result
@@ -122,7 +124,7 @@ def played(monkeypatch):
     return make
 
 
-# a number, two values of an array of three, a whole number and a switch
+# One real number, two elements of an array of three, one integer and one switch.
 TWO = {
     "inputs": (("Real", 1, 0, 1), ("Integer", 2, 0, 1), ("Boolean", 3, 0, 1), ("Real", 4, 0, 1)),
     "outputs": (("Real", 7, 0, 1), ("Boolean", 9, 0, 1), ("Real", 8, 0, 1)),
@@ -147,7 +149,7 @@ def call_lines(played):
         update = "updateDiscreteStates" if version == 3 else "newDiscreteStates"
         for exchange in (False, True):
             events = {}
-            if exchange:  # two rounds at the start, a time event at 0.7 s, one that is wanted
+            if exchange:  # two rounds at the start, a time event at 0.7 s, and one requested by the integrator step
                 events[update] = [(True, *NOTHING[1:]), (*NOTHING[:4], True, 0.7), (*NOTHING[:4], True, 0.7)]
                 events["completedIntegratorStep"] = [(False, False), (True, False)]
             one, fmu = played(version, exchange, 2, tolerance="1e-4", log=exchange, **sides, **events)
@@ -160,7 +162,7 @@ def call_lines(played):
                 ("restore", one.restore, (b"bytes",)),
                 ("begin anew", one.begin, ()),
             ):
-                if exchange and what == "keep":  # the same calls
+                if exchange and what == "keep":  # from here on model exchange makes the same calls
                     break
                 fmu.calls.clear()
                 answer = call(*arguments)
@@ -189,13 +191,14 @@ def test_the_integrator_is_the_classical_one_cut_at_time_events(played, version)
         return [x[1] + t * t, 3 * t - x[0] * x[1]]
 
     update = "updateDiscreteStates" if version == 3 else "newDiscreteStates"
-    # time events requested at the start, at jumps of inputs and at events; a request for the present time removes none
+    # Time events requested at the start, at jumps of inputs and at events. An event requested for the present time
+    # must not remove one.
     asked = (5 / 16, None, 5 / 16, 5 / 16, 8 / 16, None)
     at = {update: [NOTHING if t is None else (*NOTHING[:4], True, t) for t in asked]}
     one, fmu = played(version, True, 2, slope=slope, x=(0.75, 1.25), **at)
     one.begin()
     x = [0.75, 1.25]
-    # sixteenths of a second; later the events are at 5 and at 8, which is the half as well
+    # In sixteenths of a second. The events are at 5 and at 8, where the integrator step ends anyway.
     for begin, end, cuts in ((0, 4, (0, 2, 4)), (4, 12, (4, 5, 8, 12))):
         one.advance(begin / 16, end / 16, ())
         for a, b in pairwise(cuts):
@@ -209,14 +212,15 @@ def test_an_indicator_that_reaches_zero_is_an_event(played):
     one, fmu = played(2, True, slope=lambda t, x: [-2.0])
     fmu.edge = 0.5
     one.begin()
-    for k, events in enumerate((1, 2, 1)):  # that of the inputs' jump; that of x = 0.5, at the end of the second
+    # One event for the jump of the inputs, and one for x = 0.5 at the end of the second step.
+    for k, events in enumerate((1, 2, 1)):
         fmu.calls.clear()
         one.advance(k / 8, (k + 1) / 8, ())
         assert fmu.calls.count("enterEventMode()") == events
     assert fmu.x == [0.25]
 
 
-class FMICallException(Exception):  # the same class as in FMPy
+class FMICallException(Exception):  # FMPy's class of the same name
     def __init__(self, function, status):
         super().__init__(function)
         self.function, self.status = function, status
@@ -267,13 +271,13 @@ def test_a_refusal_is_reported_and_the_next_begin_makes_another_instance(played,
     if not text:
         assert one.advance(0.0, 0.5, (1.0,)) == ()
         return
-    for line in (b"first", b"second", b"", b"third"):  # the newest two
+    for line in (b"first", b"second", b"", b"third"):  # only the last two lines are kept
         fmu.logger(None, 0, line)
     with pytest.raises(Refusal) as refused:
         one.advance(0.0, 0.5, (1.0,))
     assert str(refused.value) == f"{text}; it says: third"
     fmu.calls.clear()
-    one.begin()  # the old instance is not used again, since its state is unknown
+    one.begin()  # the state of the old instance is unknown, so it is not used again
     assert fmu.calls[0].startswith("instantiate")
 
 
@@ -282,7 +286,8 @@ def test_an_fmu_is_asked_for_its_last_time_and_whether_it_has_ended(played):
     one.begin()
     with pytest.raises(Refusal, match=r"at 0\.5 s$"):
         one.advance(0.0, 1.0, ())
-    assert fmu.calls[-2:] == ["getBooleanStatus(3)", "getRealStatus(2)"]  # fmi2Terminated, fmi2LastSuccessfulTime
+    # Arguments: fmi2Terminated and fmi2LastSuccessfulTime.
+    assert fmu.calls[-2:] == ["getBooleanStatus(3)", "getRealStatus(2)"]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from softrig_control.fmu.child import Isolated
 from softrig_control.fmu.instance import Plan, Refusal
 
 PURE = ("WIFSIGNALED", "WTERMSIG", "WIFEXITED", "waitstatus_to_exitcode", "WNOHANG")
-ME, FMU, CALLER = 70, 71, 69  # processes
+ME, FMU, CALLER = 70, 71, 69  # process ids
 
 
 class Exit(BaseException):
@@ -90,7 +90,7 @@ def played(monkeypatch, system, proc=()):
 
 
 TERM, CHILD, NONE = signal.SIGTERM, signal.SIGCHLD, ChildProcessError()
-# process, and what /proc says of it: a name may have anything in it
+# Each process with its line in /proc/PID/stat; the name may contain any character.
 OURS = [
     (80, f"80 (an fmu) S {ME} 80 80"),
     (81, f"81 (a) {ME} b) R {ME} 81"),
@@ -226,7 +226,7 @@ def test_a_call_is_sent_and_its_answer_returned(call, sent):
     one, asked, _ = isolated(Pipe((True, "found")))
     assert call(one) == "found"
     assert one._pipe.sent == [sent]
-    assert asked == [60000.0 if sent[0] == "begin" else 2500.0]  # a start may take a minute
+    assert asked == [60000.0 if sent[0] == "begin" else 2500.0]  # the time limit of a start is a minute
     assert one._end.alive
 
 

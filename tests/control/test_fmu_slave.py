@@ -139,17 +139,18 @@ def test_a_plant_outputs_the_state_at_the_end_of_a_step(made):
     assert fmu.do_step(0.0, PERIOD)
     assert get(fmu, X, SPEED) == [0.5 + PERIOD * 2.0 * 0.5 * 4.0, PERIOD]
     put(fmu, force=-1.0, y=2.0)
-    assert fmu.do_step(PERIOD, 3 * PERIOD)  # three periods, with the inputs held
+    assert fmu.do_step(PERIOD, 3 * PERIOD)  # one call over three periods, in which the inputs hold
     assert get(fmu, X, SPEED) == [1.0 - 3 * PERIOD * 2.0 * 2.0, 4 * PERIOD]
     assert not fmu.log_queue
     fmu = made(Cart)
-    # safe values, because no message has arrived
+    # Safe values, because no message has arrived.
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]
 
 
 def test_a_controller_outputs_its_answer_and_holds_it_while_it_is_silent(made):
     fmu = made(Law, {"wanted": [0.5]})
-    assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]  # safe values at first
+    # Safe values before the first message.
+    assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]
     put(fmu, x=4.0)
     assert fmu.do_step(0.0, 2 * PERIOD)
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [10.0, PERIOD]
@@ -225,7 +226,7 @@ def test_parameters_count_from_the_end_of_the_initialisation(made):
     fmu = made(Cart)
     begun = fmu._step
     fmu.exit_initialization_mode()
-    assert fmu._step is begun  # nothing has changed
+    assert fmu._step is begun  # no parameter has changed
     put(fmu, gain=4.0, word="b", on=False, count=5)
     assert get(fmu, "gain", "word", "on", "count") == [4.0, "b", False, 5]
     fmu.exit_initialization_mode()

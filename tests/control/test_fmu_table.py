@@ -80,7 +80,7 @@ def test_the_offset_of_a_unit_does_not_apply_to_a_difference(tmp_path, prepared_
     unit = fmu(tmp_path, prepared_unit)
     assert conversion(unit.variable("T"), "K") == (1.0, 273.15)
     assert conversion(unit.variable("dT"), "K") == (1.0, 0.0)
-    assert conversion(unit.variable("declared"), "K") == (1.0, 0.0)  # its declared type says so
+    assert conversion(unit.variable("declared"), "K") == (1.0, 0.0)  # its declared type has relativeQuantity set
     assert conversion(unit.variable("own"), "K") == (1.0, 273.15)  # the variable itself overrides its type
     ports, places = mapped(unit, ["a/b/position [K] = T", "a/c/position [K] = dT"], False)
     assert ports[0].safe == (293.15, 2.0)

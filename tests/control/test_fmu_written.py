@@ -67,7 +67,7 @@ def test_a_node_is_written_with_its_script_and_its_description(asked, motor, tmp
         "dc_motor_smc",
         0,
     )
-    # the initial values of the scenario
+    # The initial values of the scenario.
     assert law["start"] == {"state": [0.0], "sensors": [0.0, 0.0], "reference": [1.0]}
     assert law["parameters"]["period"] == motor.clock.params.period
 
@@ -105,7 +105,7 @@ def test_nodes_that_cannot_be_exported_are_reported(motor, tmp_path):
     with pytest.raises(ScenarioError, match=r"^node n is external: its code is not here$"):
         _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), params=BlockParams(), external=True))
     _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), params=BlockParams(), external=False))
-    assert _can(SimpleNamespace(block_class=Policy)) == ()  # the state of its policy is unknown
+    assert _can(SimpleNamespace(block_class=Policy)) == ()  # the state of a policy is opaque, so it is not exported
     assert _can(SimpleNamespace(block_class=DcMotorPlant)) == ("canGetAndSetFMUstate", "canSerializeFMUstate")
 
 

@@ -78,7 +78,8 @@ def worst_of_exponentials(kind):
     own = reference = 0.0
     for a in matrices(kind, rng):
         if len(a) > 6:
-            right = np.array(exact.expm(exact.fractions(a.tolist())))  # itself held against mpmath for the lower orders
+            # mpmath checks this function for smaller matrices.
+            right = np.array(exact.expm(exact.fractions(a.tolist())))
         else:
             with mpmath.workdps(3 * DIGITS):
                 right = right_expm(a)
@@ -162,10 +163,10 @@ def test_an_exponential_has_its_closed_form():
     assert expm([[0.0, 1e12], [0.0, 0.0]]) == ((1.0, 1e12), (0.0, 1.0))
     (a, b), (c, d) = expm(
         [[-1.0, 1e-12], [0.0, -1.0 - 1e-9]]
-    )  # near to a Jordan block: b = 1e-12 (e^-d - e^-a)/(d - a)
+    )  # close to a Jordan block: b = 1e-12 (e^-d - e^-a)/(d - a)
     assert (a, c, d) == (math.exp(-1.0), 0.0, pytest.approx(math.exp(-1.0 - 1e-9), rel=1e-15))
     assert b == pytest.approx(1e-12 * math.exp(-1.0) * (1.0 - 0.5e-9), rel=1e-15)
-    turn, rate = expm([[0.0, 1e6], [-1e-6, 0.0]]), 1.0  # an oscillator in units that are far from each other
+    turn, rate = expm([[0.0, 1e6], [-1e-6, 0.0]]), 1.0  # an oscillator whose states have units of very different size
     assert turn[0] == (pytest.approx(math.cos(rate)), pytest.approx(1e6 * math.sin(rate)))
 
 

@@ -108,23 +108,24 @@ def test_a_loop_is_in_a_limit_cycle_after_eight_equal_swings_that_do_not_decay(s
         first, second = sum(known[:4]), sum(known[4:])
         swings = len(known) == 8 and min(known) >= 0.5 * max(known) and second >= 0.9 * first
         expected.append(second / 4.0 if swings else 0.0)
-    assert fed(levels, 50.0) == expected  # a fiftieth of 50 is less than each
+    assert fed(levels, 50.0) == expected  # a fiftieth of 50, below which swings are ignored, is less than each level
 
 
 def test_the_detector_of_limit_cycles_is_exact_at_its_limits():
     level = [0.0, 1.0] * 6
     assert fed([x * 1.01 for x in level], 50.0)[-1] == 1.01
-    assert fed(level, 50.0)[-1] == 0.0  # just as small as the amplitude that is ignored
+    assert fed(level, 50.0)[-1] == 0.0  # a swing of exactly the ignored amplitude
     assert fed(level, -49.0)[-1] == 1.0
-    halves = [0.0, 4.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0]  # the smallest of the eight is half of the largest
+    # The smallest of the eight swings is exactly half of the largest.
+    halves = [0.0, 4.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0]
     assert fed(halves, 50.0)[-1] == 4.0
     decays = [0.0, 10.0, 0.0, 10.0, 0.0, 9.0, 0.0, 9.0, 0.0, 9.0]
-    assert fed(decays, 50.0)[-1] == 9.0  # nine tenths of the first half, exactly
+    assert fed(decays, 50.0)[-1] == 9.0  # the second half has exactly nine tenths of the first
     rests = fed([0.0, 2.0] * 6 + [0.0] * 8, 50.0)
-    assert rests[12:] == [2.0] * 4 + [0.0] * 4  # three times the time of a swing, and it has come to rest
+    assert rests[12:] == [2.0] * 4 + [0.0] * 4  # after three times its duration the swing has ended
     assert fed([0.0, 2.0] * 6, 50.0)[-1] == 2.0
     x = Swinging()
-    for k in range(30):  # each new reference restarts the observation
+    for k in range(30):  # each new reference restarts the detector
         x, size = limit_cycle(x, 2.0 * (k % 2), 50.0 + k // 8)
         assert size == 0.0
     assert x.aside == "only a warning depends on it"
@@ -139,10 +140,10 @@ def test_a_swing_has_ended_after_three_times_the_longest_of_the_newest_eight():
     def up_and_down(samples, times):
         return [(2.0 * (k % 2), samples) for k in range(times)]
 
-    for samples in (2, 3, 5):  # the last swing, up to 2, is known with the first sample of the rest at 0
+    for samples in (2, 3, 5):  # a swing is complete with the first sample of the next level
         result = fed(held_levels(*up_and_down(samples, 12), (0.0, 40)), 50.0)
         assert result[12 * samples :] == [2.0] * (3 * samples + 1) + [0.0] * (39 - 3 * samples)
-    for later in range(13):  # one swing of five samples among those of two: while it is one of the eight
+    for later in range(13):  # one swing of five samples counts while it is among the newest eight
         levels = [*up_and_down(2, 10), (0.0, 2), (2.0, 5), *up_and_down(2, later), (2.0 * (later % 2), 40)]
         result = fed(held_levels(*levels), 50.0)
         longest = 5 if later < 8 else 2
@@ -187,7 +188,7 @@ def test_a_pid_is_exact_at_its_limits():
     law = Pid(PidParams(kp=2.0, ki=1.0, u_max=1.0), 0.5)
     assert law(PidState(), 0.5)[0].integral == 0.25
     assert law(PidState(), 0.75)[0].integral == 0.0
-    assert law(PidState(integral=-4.0), 0.5)[0].integral == -3.75  # driven backwards
+    assert law(PidState(integral=-4.0), 0.5)[0].integral == -3.75  # the error reduces a negative integral
     before = PidParams(kp=2.0, ki=1.0)
     x = PidState(1.5, 0.0, 0.5)
     for ki, kept in ((1.0, False), (0.0, True)):
@@ -352,7 +353,7 @@ def test_the_companion_form_of_a_model_has_the_pulse_response_of_its_difference_
     a, b, c = companion(model)
     n = max(len(model.a) - 1, len(model.b))
     assert (a.shape, b.shape, c.shape) == ((n, n), (n, 1), (1, n))
-    x, y = b.copy(), [0.0]  # after a pulse at 0
+    x, y = b.copy(), [0.0]  # the state after a pulse at k = 0
     for k in range(1, 8):
         past = sum(-p * y[k - i] for i, p in enumerate(model.a) if 0 < i <= k)
         y.append(past + (model.b[k - 1] if k <= len(model.b) else 0.0))
@@ -444,7 +445,7 @@ def test_a_predictive_controller_replaces_a_bad_sample_by_the_prediction_under_t
             answer = law.update(k * 10_000_000, measured=(y,), reference=None)
         assert answer["command"] == (x.u,)
     first = ByHand(GpcController(**parameters))
-    assert first.refused(0)["command"] == (0.0,)  # there is no earlier command to hold
+    assert first.refused(0)["command"] == (0.0,)  # no earlier command exists to hold
     assert first.update(10_000_000, measured=(1.5,), reference=None) == ByHand(GpcController(**parameters)).update(
         0, measured=(1.5,), reference=None
     )

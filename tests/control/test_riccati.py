@@ -9,7 +9,7 @@ from softrig_drives.dc_motor.plant import DcMotorPlant
 
 @pytest.mark.parametrize("inputs", [1, 2])
 def test_lqr_equals_that_of_the_control_library(inputs):
-    import control  # a second of each worker, were it above
+    import control  # its import takes a second, so only this test pays it
 
     rng = np.random.default_rng(3)
     for n in (1, 2, 4):
@@ -23,7 +23,8 @@ def test_lqr_equals_that_of_the_control_library(inputs):
 
 def test_the_controller_of_a_plant_makes_its_loop_stable():
     model = Sampled(DcMotorPlant()).linearise((0.0, 0.0, 0.0), (0.0,))
-    assert max(abs(np.linalg.eigvals(model.A))) == pytest.approx(1.0)  # the angle
+    # The angle integrates, so the plant has a pole at 1.
+    assert max(abs(np.linalg.eigvals(model.A))) == pytest.approx(1.0)
     loop = model.A - model.B @ np.array(lqr(model.A, model.B, (100.0, 1.0, 0.0), (0.1,)))
     assert max(abs(np.linalg.eigvals(loop))) < 0.999
 
@@ -31,7 +32,7 @@ def test_the_controller_of_a_plant_makes_its_loop_stable():
 @pytest.mark.parametrize(
     ("a", "b", "q", "r", "text"),
     [
-        ([[2.0]], [[0.0]], [1.0], [1.0], "no such law"),  # grows, not reached
+        ([[2.0]], [[0.0]], [1.0], [1.0], "no such law"),  # an unstable state that the input cannot reach
         ([[1.5]], [[1.0]], [1.0], [0.0], "no such law"),
         ([[1.0]], [1.0], [1.0], [1.0], r"B \(1,\)"),
         ([[1.0]], [[1.0]], [1.0, 2.0], [1.0], r"Q \(2, 2\)"),

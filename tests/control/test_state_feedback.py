@@ -8,7 +8,7 @@ from softrig_control.predictor import CommandReplay
 from softrig_control.state_feedback import StateFeedback, UnstableDesign, closed_loop_poles, place
 
 MOTOR = ([[-5.26, 0.0], [1.0, 0.0]], [2.2862, 0.0], [0.0, 1.0])
-MASSES = (  # two carts, a spring and a damper: four states
+MASSES = (  # two carts with a spring and a damper: four states
     [[0, 1, 0, 0], [-3, -0.2, 3, 0.2], [0, 0, 0, 1], [6, 0.4, -6, -0.4]],
     [0, 1, 0, 0],
     [0, 0, 1, 0],
@@ -32,7 +32,7 @@ def test_the_loop_has_the_wanted_poles(plant, poles):
 
 
 def test_the_gains_are_those_of_scipy():
-    from scipy.signal import place_poles  # a second to import, in each worker
+    from scipy.signal import place_poles  # its import takes a second, so only this test pays it
 
     a, b, c = MOTOR
     augmented = np.block([[np.array(a), np.zeros((2, 1))], [-np.array([c]), np.zeros((1, 1))]])

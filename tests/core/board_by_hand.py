@@ -6,7 +6,7 @@ import subprocess
 
 from softrig_core.export.check import FLAGS
 
-# scenarios that need an AVR compiler and simavr, and whose board can only go on
+# Scenarios that need an AVR compiler and simavr, and whose board cannot rewind.
 UNO = ("dc_motor_smc_uno", "dc_motor_smc_uno_pid", "dc_motor_smc_uno_soft")
 HARNESS = """
 #include "{n}_link.h"

@@ -5,7 +5,7 @@ import heapq
 import cantools
 from softrig_core.board.dbc import printed
 
-can = __import__("can")  # the tests that use this module skip without it
+can = __import__("can")  # tests that use this module are skipped without python-can
 
 
 class Node:

@@ -100,7 +100,8 @@ class Net:
         if what == "lost":
             return
         at = self.rng.randrange(len(data)) if what == "torn" else len(data)
-        self.plc.take(data[:at] + self.plc.request()[at:])  # in the order of the bytes, as a copy is made
+        # A torn copy has new bytes first, as they are copied in order.
+        self.plc.take(data[:at] + self.plc.request()[at:])
         if self.rng.random() < 0.5:
             self.plc.cycle()
 

@@ -93,7 +93,7 @@ def test_real_time_accepts_the_answer_to_its_tick_or_none(calls, seed):
     while line.counts.sent < calls:
         begun, u = net.time, rng.random()
         answer = line.try_ask(Kind.STEP, request(0, u), 0.003)
-        assert net.time - begun < 0.015  # what is waited for, and one call that times out
+        assert net.time - begun < 0.015  # at most the time limit and one blocking call beyond it
         net.time = max(net.time, begun + 0.01)
         if rng.random() < 0.005:
             net.plc.power()
@@ -137,7 +137,8 @@ def test_a_number_that_is_not_finite_is_not_an_answer():
 
     line = line_of(Net(Plc(law()[0], work=work), random.Random(0)))
     answers = []
-    until(lambda: answers.append(line.try_ask(Kind.STEP, request(0, 1.0), 0.005)) or line.counts.damaged)  # once opened
+    # The first answers arrive when the link is open.
+    until(lambda: answers.append(line.try_ask(Kind.STEP, request(0, 1.0), 0.005)) or line.counts.damaged)
     assert set(answers) == {None}
     assert (line.counts.damaged, line.counts.lost) == (1, 1)
 

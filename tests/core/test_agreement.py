@@ -72,7 +72,7 @@ def test_an_argument_of_a_figure_can_refer_to_a_node():
     assert agreeing(text, {"mass": 3}, agreed) == {"mass": 3}
     with pytest.raises(ScenarioError, match="argument mass = 2, but one has 3; leave it out"):
         agreeing(text, {"mass": 2.0}, agreed)
-    assert agreeing({}, {"mass": 2.0}, agreed) == {"mass": 2.0}  # a recording that has no such node
+    assert agreeing({}, {"mass": 2.0}, agreed) == {"mass": 2.0}  # the recording has no such node
     with pytest.raises(ScenarioError, match="argument mass is missing, since no node of the rig defines its cart/mass"):
         agreeing({}, {}, agreed)
 

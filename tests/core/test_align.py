@@ -56,9 +56,9 @@ def test_the_time_shift_is_found(tmp_path, late):
     b = bag(tmp_path / "b", lambda t: wave(t - late), 0.01, epoch=EPOCH_NS)
     (x, y) = align(a, b).deviations
     assert x.shift == pytest.approx(late, abs=1e-4)
-    assert x.shifted_rms < 2.0 * (3.0 * 0.01) ** 2 / 8.0 < 0.01 * x.rms  # the error of linear interpolation
+    assert x.shifted_rms < 2.0 * (3.0 * 0.01) ** 2 / 8.0 < 0.01 * x.rms  # error bound of linear interpolation
     assert ("late" if late > 0 else "early") in str(x)
-    assert y.shift == 0.0  # a constant comes neither early nor late
+    assert y.shift == 0.0  # a constant signal has no shift
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,8 @@ def test_different_rates_are_compared_at_the_samples_of_the_slower_one(tmp_path,
     result = align(a, b)
     assert result.deviations[0].samples == 101
     assert result.deviations[0].largest < 1e-12
-    assert main_compare([str(tmp_path / "a"), str(tmp_path / "b")]) == 1  # message by message most are missing
+    # Compared message by message, most are missing.
+    assert main_compare([str(tmp_path / "a"), str(tmp_path / "b")]) == 1
     assert main_compare([str(tmp_path / "a"), str(tmp_path / "b"), "--align", "--abs", "1e-12"]) == 0
 
 
@@ -112,7 +113,7 @@ def test_rates_without_common_samples_differ_only_by_interpolation(tmp_path):
     a = bag(tmp_path / "a", wave, 0.001)
     b = bag(tmp_path / "b", wave, 0.0317)
     x, _ = align(a, b).deviations
-    assert 0.0 < x.largest < 2.0 * (3.0 * 0.001) ** 2 / 8.0 * 1.01  # peak curvature times step^2 / 8
+    assert 0.0 < x.largest < 2.0 * (3.0 * 0.001) ** 2 / 8.0 * 1.01  # largest curvature times step^2 / 8
 
 
 def test_missing_topics_are_named_and_bags_without_a_common_time_refused(tmp_path):
@@ -130,7 +131,7 @@ def test_nan_does_not_agree(tmp_path):
     b = bag(tmp_path / "b", lambda t: np.nan if t == 1.0 else wave(t), 0.01, epoch=EPOCH_NS)
     result = align(a, b, default=Tolerance(absolute=1e9))
     assert not result.equal
-    assert result.deviations[0].largest < 1e-12  # compared only where both values are numbers
+    assert result.deviations[0].largest < 1e-12  # only instants at which both values are numbers are compared
     assert json.loads(result.to_json())["deviations"][0]["agrees"] is False
 
 

@@ -22,7 +22,7 @@ from std_msgs.msg import Float64
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 BELOW = ("rclpy._rclpy_pybind11", "rclpy.impl", "rclpy.experimental")
-# Of the C library, nothing of ROS.
+# These modules call the C library, not internals of ROS.
 C = {f"softrig_nodes/{name}.py" for name in ("seam/health", "processes/fork_server", "processes/dead_locks")}
 
 
@@ -60,7 +60,7 @@ def test_a_private_use_of_a_library_works_and_a_changed_one_falls_back(name, mon
     assert use.instead
 
     def missing_import(name):
-        raise ImportError(name)  # another rclpy
+        raise ImportError(name)  # as in a version of rclpy without these modules
 
     with monkeypatch.context() as other:
         other.setattr(uses.importlib, "import_module", missing_import)
@@ -94,7 +94,7 @@ def test_no_other_module_calls_the_objects_behind_a_handle():
             calls = [c.func for c in ast.walk(ast.parse(text)) if isinstance(c, ast.Call)]
             of = [f.value for f in calls if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Attribute)]
             results += [(file.name, ast.unparse(v)) for v in of if v.attr == "handle"]
-    # a goal's handle is what rclpy gives to the callbacks of an action
+    # rclpy passes a goal handle to the callbacks of an action, so this name is public.
     assert results == [("following.py", "active.handle")]
 
 
@@ -150,7 +150,7 @@ def carried():
     made = carrier.Carrier(carrier._PUBLISH(publish))
     made.start()
     yield made, seen
-    made.put(0, b"")  # ends the thread
+    made.put(0, b"")  # an empty message ends the thread
 
 
 def test_a_native_thread_publishes_everything_in_order_whatever_its_size(carried):
@@ -158,16 +158,16 @@ def test_a_native_thread_publishes_everything_in_order_whatever_its_size(carried
     expected = {7: [], 8: []}
     for k in range(3 * carrier.SLOTS):
         expected[7 + k % 2].append(data := f"{k} ".encode() * (k % 90))
-        made.put(7 + k % 2, bytes(bytearray(data)))  # an object that nothing else holds
+        made.put(7 + k % 2, bytes(bytearray(data)))  # a copy to which nothing else refers
     made.drain()
     assert seen == expected
-    made.drain()  # no message is left
+    made.drain()  # returns at once, because no message is left
 
 
 def test_a_message_that_rcl_does_not_publish_is_an_error_of_the_next(carried, monkeypatch):
     made, seen = carried
     made._failed[0] = 300
-    monkeypatch.setattr(carrier.rclpy, "ok", lambda: False)  # after a signal, errors of publishing are not raised
+    monkeypatch.setattr(carrier.rclpy, "ok", lambda: False)  # errors of publishing after a shutdown are ignored
     made.put(7, b"a")
     made.drain()
     monkeypatch.setattr(carrier.rclpy, "ok", lambda: True)
@@ -179,7 +179,7 @@ def test_a_message_that_rcl_does_not_publish_is_an_error_of_the_next(carried, mo
 
 
 def test_what_is_not_published_in_time_is_an_error(monkeypatch):
-    made = carrier.Carrier()  # without a thread
+    made = carrier.Carrier()  # its thread is not started, so no message is published
     monkeypatch.setattr(carrier, "PATIENCE", 0.01)
     made.put(7, b"a")
     with pytest.raises(uses.RCLError, match=r"1 messages are not published within 0\.01 s"):

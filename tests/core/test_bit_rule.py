@@ -26,16 +26,17 @@ _REFUSED = """linalg dot vdot inner matmul tensordot einsum convolve correlate p
 corrcoef exp expm1 exp2 log log1p log2 log10 tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh
 cbrt power float_power angle logspace geomspace fft vecdot matvec vecmat"""
 REFUSED = frozenset(_REFUSED.split())
-OTHERS = frozenset({"dot", "sumprod"})  # functions of other objects: arrays, math
+OTHERS = frozenset({"dot", "sumprod"})  # methods of arrays, functions of math
 NOTHING: frozenset[str] = frozenset()
 OF = {"np": REFUSED, "numpy": REFUSED, "math": OTHERS, "ca": NOTHING, "casadi": NOTHING}
-# modules that judge or show what was recorded
+# Modules that judge or show recorded values, which cannot affect a run.
 WHOLE = ("figures", "pictures", "drawing", "study", "study_tool", "cases")
-# the same bits wherever there is IEEE 754
+# Functions with the same bits on every CPU with IEEE 754.
 _EXACT = """ceil copysign degrees fabs floor fmod frexp fsum gcd inf isclose isfinite isinf isnan lcm ldexp
 modf nan nextafter pi prod radians remainder sqrt tau trunc ulp"""
 EXACT = frozenset(_EXACT.split())
-PARTS = {"phase": {"atan2"}, "polar": {"atan2", "hypot"}, "rect": {"sin", "cos"}}  # functions of cmath
+# Functions of the C library that each function of cmath uses.
+PARTS = {"phase": {"atan2"}, "polar": {"atan2", "hypot"}, "rect": {"sin", "cos"}}
 COUNT = "a sum of whole numbers (sizes of ports, ...), or whether one is finite"
 CASADI = "casadi's own products, unrolled into scalar operations"
 CHECK = "a check or a certificate: its verdict is compared with a margin, no number of a run comes from it"
@@ -115,7 +116,8 @@ def counts(call: ast.Call) -> bool:
     )
 
 
-# a superset of what `uses` finds, in the text: a file without a match is not parsed, which takes most of the time
+# A superset of what `uses` detects, as a pattern: files without a match are not parsed, which would take most of the
+# time.
 SEEN = re.compile(
     rf"""(?<!\.)\bsum\b | @[ ] | \S.*@ | \.\s*(?:{"|".join(OTHERS)})\b
     | \b(?:np|numpy)\s*\.\s*(?:{"|".join(REFUSED)})\b | \bscipy\b | \bimport\b.*\bnumpy\b(?!\ as\ np\b)
@@ -129,7 +131,7 @@ def uses(module: str, source: str) -> set[str]:
     result: set[str] = set()
     if not SEEN.search(source):
         return result
-    whole: set[ast.expr] = set()  # sums that count
+    whole: set[ast.expr] = set()  # calls of `sum` over whole numbers, which are exact
     waiting: list[tuple[ast.AST, str]] = [(ast.parse(source), module)]
     while waiting:
         node, where = waiting.pop()
@@ -148,7 +150,7 @@ def uses(module: str, source: str) -> set[str]:
             if getattr(node.func, "id", "") == "sum" and counts(node):
                 whole.add(node.func)
         elif isinstance(node, ast.Name):
-            if node.id == "sum" and node not in whole:  # also as an argument: `map(sum, rows)`
+            if node.id == "sum" and node not in whole:  # also `sum` as an argument: `map(sum, rows)`
                 result.add(where)
             continue
         elif isinstance(node, ast.ImportFrom):
@@ -160,7 +162,8 @@ def uses(module: str, source: str) -> set[str]:
                 if a.name.startswith(("scipy", "numpy.")) or (a.name == "numpy" and a.asname not in (None, "np")):
                     result.add(where)
         for child in ast.iter_child_nodes(node):
-            if not isinstance(child, (ast.Constant, ast.expr_context)):  # half of all nodes, which use nothing
+            # Half of all nodes are constants or contexts, which use nothing.
+            if not isinstance(child, (ast.Constant, ast.expr_context)):
                 waiting.append((child, where))
     return result
 
@@ -196,7 +199,8 @@ def called(sources: Iterable[str]) -> tuple[set[str], set[str]]:
     for source in sources:
         written = {*CALLS.findall(source)} | ({("math", "pow")} if "**" in source else set())
         written |= {(home, name) for home, names in NAMED.findall(source) for name in re.findall(r"\w+", names)}
-        if any(any(functions(*pair)) for pair in written - pairs):  # a file that cannot call more is not parsed
+        # Skip files in which no new function can be called.
+        if any(any(functions(*pair)) for pair in written - pairs):
             pairs |= calls(source)
     both = [functions(*pair) for pair in pairs]
     return set().union(*(real for real, _ in both)), set().union(*(whole for _, whole in both))

@@ -29,7 +29,7 @@ def python(code, **variables):
 def test_each_package_begins_with_the_core(package):
     """A node first imports its package: what pins numpy's kernels must come before anything that loads numpy."""
     statements = ast.parse((package / package.name / "__init__.py").read_text()).body
-    harmless = ("__future__", "importlib", "typing")  # modules that do not import numpy
+    harmless = ("__future__", "importlib", "typing")  # these modules do not import numpy
     first = next(s for s in statements if not isinstance(s, ast.Expr) and getattr(s, "module", "") not in harmless)
     expected = "from .bits import pin" if package.name == "softrig_core" else "import softrig_core as softrig_core"
     assert ast.unparse(first) == expected
@@ -79,7 +79,8 @@ def test_an_import_changes_nothing_in_the_process_of_a_user(order):
     done = subprocess.run(command, capture_output=True, text=True, env=UNPINNED)
     assert (done.returncode, done.stderr) == (0, "")
     plain = "from softrig_core.bits import kernels; import json; print(json.dumps(kernels()))"
-    assert json.loads(done.stdout) == json.loads(python(plain).stdout)  # numpy's own choice, and the run says it
+    # numpy's own choice holds, and the run records it.
+    assert json.loads(done.stdout) == json.loads(python(plain).stdout)
 
 
 def test_a_node_is_pinned_before_it_loads_numpy(tmp_path):
@@ -88,7 +89,7 @@ def test_a_node_is_pinned_before_it_loads_numpy(tmp_path):
     node = tmp_path / "lib/mine/node"
     node.parent.mkdir(parents=True)
     node.write_text(f"{WIDE}\nimport softrig_drives, sys\nassert 'numpy' not in sys.modules\n{PINNED}")
-    for is_node in (False, True):  # at first a script in some folder called lib
+    for is_node in (False, True):  # at first only a script in a folder called lib
         done = subprocess.run([sys.executable, node], capture_output=True, text=True, env=UNPINNED, check=True)
         assert done.stdout == f"{is_node}\n"
         marker.touch()
@@ -105,7 +106,7 @@ def test_the_command_line_and_its_processes_are_pinned(tmp_path, monkeypatch):
     assert environment(1, tmp_path).items() >= bits.PINS.items()
     started = []
     monkeypatch.setattr(subprocess, "Popen", lambda command, env, **_: started.append(env) or 1 / 0)
-    with pytest.raises(ZeroDivisionError):  # no process is started
+    with pytest.raises(ZeroDivisionError):  # the stand-in raises this instead of starting a process
         worker._Process("module", "name", None)
     assert started[0].items() >= bits.PINS.items()
 
@@ -113,7 +114,7 @@ def test_the_command_line_and_its_processes_are_pinned(tmp_path, monkeypatch):
 def test_a_wheels_prefix_is_found_and_joined_where_processes_start(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     environ = {"AMENT_PREFIX_PATH": "/a:/b"}
-    assert needs.prefixes(environ) == ["/a", "/b"]  # no wheel is there
+    assert needs.prefixes(environ) == ["/a", "/b"]  # the prefix has no wheel yet
     (tmp_path / "share/ament_index/resource_index/packages").mkdir(parents=True)
     (tmp_path / "share/ament_index/resource_index/packages/softrig_core").touch()
     assert needs.prefixes({}) == [str(tmp_path)]
@@ -129,13 +130,13 @@ def test_settings_of_the_user_stay():
     chosen = {bits.CORE: "Prescott", "NPY_ENABLE_CPU_FEATURES": "X86_V2"}
     environ = dict(chosen)
     bits.pin(environ, wider=True)
-    assert environ == chosen  # numpy refuses to start with both of its variables
+    assert environ == chosen  # numpy does not start if both of its variables are set
     environ = {}
     bits.pin(environ, wider=True)
     assert environ == bits.PINS
     environ = {}
     bits.pin(environ, wider=False)
-    assert environ == {}  # OpenBLAS takes the word of a pin even where the CPU cannot do it
+    assert environ == {}  # OpenBLAS obeys a pin even if the CPU lacks the instructions
 
 
 @pytest.mark.parametrize(("flags", "wide"), [("fpu avx2 fma", False), ("fpu avx2 avx512f fma", True), (None, False)])
@@ -159,19 +160,21 @@ assert np.hypot(x, x[::-1]).tolist() == [abs(complex(a, b)) for a, b in zip(x.to
     "features", [{"NPY_ENABLE_CPU_FEATURES": "X86_V2"}, {}, {bits.SIMD: ""}], ids=["baseline", "usual", "all"]
 )
 def test_sines_and_hypot_of_arrays_are_the_c_librarys_at_every_level(features):
-    python(SINES, **features)  # the rule of test_bit_rule.py lets plants and laws use them
+    python(SINES, **features)  # the rule of test_bit_rule.py relies on this
 
 
 def test_the_digest_distinguishes_another_math_library(monkeypatch):
     result = bits.math_digest.__wrapped__
     assert result() == result() == bits.math_digest()
-    assert all(low < high for low, high in bits.FUNCTIONS.values())  # its arguments differ
+    # Each function is computed at different arguments.
+    assert all(low < high for low, high in bits.FUNCTIONS.values())
     exact, calls = math.log1p, []
 
     def nearly(x):
         calls.append(x)
         value = exact(x)
-        return math.nextafter(value, 9.0) if len(calls) == 500 else value  # one argument in a thousand, one last digit
+        # One argument in a thousand gives another last digit.
+        return math.nextafter(value, 9.0) if len(calls) == 500 else value
 
     monkeypatch.setattr(math, "log1p", nearly)
     assert result() != bits.math_digest()

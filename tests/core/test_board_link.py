@@ -35,8 +35,8 @@ from softrig_core.firmware.link_files import SUPPORT
 from softrig_core.scenario.scenario import merge, read_draft
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
-FRAMES = 10_000  # over a wire that damages them
-MANY = 300_000  # long
+FRAMES = 10_000  # frames over a wire that damages some of them
+MANY = 300_000  # frames of the long test
 SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
 
 
@@ -122,9 +122,9 @@ int echo(const uint8_t *in, int n, uint8_t *out)
         answer = asked(2 + k, Kind.STEP, values, 0x2211)
         assert answer == written(2 + k, Kind.ANSWER, b"\0" + values, 0x2211)[1:]
         assert read(answer[:-1], 0x2211).values == b"\0" + values
-    assert asked(301, Kind.STEP, b"", 0x2211) is not None  # the same number: the same answer
-    assert asked(200, Kind.STEP, b"", 0x2211) is None  # an older one
-    assert asked(400, Kind.STEP, b"", 0x2212) is None  # another session
+    assert asked(301, Kind.STEP, b"", 0x2211) is not None  # the repeated frame gets the stored answer
+    assert asked(200, Kind.STEP, b"", 0x2211) is None  # a frame older than the last one gets no answer
+    assert asked(400, Kind.STEP, b"", 0x2212) is None  # a frame of another session gets no answer
 
 
 def lockstep(firmware, wire, steps):
@@ -163,7 +163,7 @@ def test_real_time_accepts_an_answer_to_the_request_or_none(frames, seed, firmwa
     folder, _, _, steps, _ = firmware
     rng = random.Random(seed)
     board = Board(folder / "board.so", tmp_path)
-    messages = {}  # by session and number: what the board has answered
+    messages = {}  # the board's answers by session and number
 
     def feed(data, of=board.feed):
         answer = of(data)
@@ -182,7 +182,7 @@ def test_real_time_accepts_an_answer_to_the_request_or_none(frames, seed, firmwa
     for k in range(frames):
         begun = wire.time
         answer = line.try_ask(Kind.STEP, steps[k % len(steps)], 0.005)
-        assert wire.time - begun < 0.0062  # what is waited for, and the least step of the wire's time
+        assert wire.time - begun < 0.0062  # at most the time limit and one time step of the wire
         if rng.random() < 0.002:
             board.power()  # the board restarts
         wire.time = max(wire.time, begun + 0.01)
@@ -299,7 +299,7 @@ def test_gains_that_view_changes_take_effect_at_the_next_tick(realtime, firmware
     board.realtime = realtime
     x, y, voltages = board.first(), python.first(), []
     for k in range(12):
-        if k in (4, 8):  # between two ticks, as a session does
+        if k in (4, 8):  # changed between two ticks, as in a session
             gains = member.params.model_copy(update={"k_per_ref": 4.0 if k == 4 else 7.0, "delta": 0.8})
             for block in (board, python):
                 block.change(gains)
@@ -307,7 +307,7 @@ def test_gains_that_view_changes_take_effect_at_the_next_tick(realtime, firmware
         inputs = {"state": (0.5 * k,), "sensors": (0.0, 0.1 * k), "reference": (10.0,)}
         y, wanted = python.update(y, k * 10**7, **inputs)
         x, result = board.update(x, k * 10**7, **inputs)
-        while not line.joined:  # in real time the first answers are missing until the board has joined
+        while not line.joined:  # In real time the first answers are missing until the board has joined.
             assert realtime
             assert result["command"] == (0.0,)
             wire.sleep(0.01)
@@ -331,7 +331,7 @@ def test_a_run_in_real_time_whose_board_is_silent_at_its_end_is_not_judged(ticks
     block.realtime, x, messages = True, block.first(), []
     for k in range(60):
         if k == 30 + ticks:
-            wire.write = lambda data: None  # unplugged behind the port
+            wire.write = lambda data: None  # as if the board were unplugged: what is written to the port is lost
             messages.append(block.void(x))
         if k >= 30 + ticks or ticks:
             x, result = block.update(x, k * 10**7, state=(1.0,), sensors=(0.0, 0.0), reference=(10.0,))
@@ -414,7 +414,7 @@ def test_a_link_costs_little_beside_the_bare_port(firmware):
             for step in steps:
                 line.ask(Kind.STEP, step)
             elapsed = time.perf_counter() - begun
-            # the same bytes: the newest frame again, whose answer the board still has
+            # Send the newest frame again, so that the board only repeats its stored answer.
             frame = written(line._number, Kind.STEP, steps[-1], line._session)
             size = len(written(line._number, Kind.ANSWER, answers[-1], line._session)) - 1
             begun = time.perf_counter()
@@ -474,7 +474,7 @@ def test_a_description_is_complete_or_refused_with_the_place(place, tmp_path):
             used = read_description(file)
         except ValueError as error:
             refused = str(error)
-        else:  # a text where a text belongs, a number where a number does
+        else:  # text where text is expected, and a number where a number is
             refused = ""
             assert {type(v.safe) for p in used.ports for v in p.values} <= {float}
             assert all(isinstance(used.parameters[name], bool | int | float) for name in used.settable)

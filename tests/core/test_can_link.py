@@ -75,7 +75,7 @@ def test_no_disturbed_bus_gives_a_wrong_answer_in_lockstep(own, frames, seed):
     rng, ports = random.Random(seed), own[1]
     bus = Bus(rng, 0.2, node_of(own), pulled=0.01)
     line = line_of(own, bus)
-    while line.counts.sent < frames:  # runs after each other: what is late comes into the next one
+    while line.counts.sent < frames:  # run after run, so that a late frame reaches the next run
         line.begin(b"")
         want = 0.0
         for k in range(40):
@@ -97,7 +97,7 @@ def test_real_time_accepts_the_answer_to_its_tick_or_none(own, frames, seed):
     while line.counts.sent < frames:
         begun, u = bus.time, float(rng.randrange(-4, 5))
         answer = line.try_ask(Kind.STEP, layout_of(ports).step.pack(0, u), 0.005)
-        assert bus.time - begun < 0.0065  # what is waited for, and the time that the frames themselves take
+        assert bus.time - begun < 0.0065  # at most the time limit and the duration of the frames themselves
         bus.time = max(bus.time, begun + 0.01)
         if rng.random() < 0.002:
             node.power()
@@ -146,7 +146,7 @@ def test_lines_that_an_adapter_cannot_read_are_damaged(own):
 
     def recv(wait):
         if next(bad, None) is not None:
-            raise IndexError("string index out of range")  # of python-can's slcan
+            raise IndexError("string index out of range")  # the error of python-can's slcan
         return receive(wait)
 
     bus.recv = recv
@@ -358,7 +358,8 @@ def test_a_controller_on_the_bus_equals_the_one_without_to_the_digits_of_a_float
     peer = Peer(channel, law)
     peer.start()
     try:
-        results = [simulate(linked_rig(law, channel)).signals for _ in range(2)]  # the second one begins another run
+        # The second run begins a new session of the peer.
+        results = [simulate(linked_rig(law, channel)).signals for _ in range(2)]
     finally:
         peer.going = False
         peer.join()

@@ -48,7 +48,7 @@ def changed_rig(name, duration, changes, overrides=None, **keys):
 
 
 OFFSET = {"offset": {"link": "motor/state -> dc_motor_smc", "kind": "offset", "value": [2.0], "active": False}}
-CASES = {  # scenario, duration, changes, further keys
+CASES = {  # scenario, duration, changes, further keys of the scenario
     "sliding mode": (
         "dc_motor_smc_b2",
         0.15,
@@ -69,7 +69,8 @@ def test_a_scripted_change_gives_the_same_bytes_in_every_placement(case):
     unchanged = in_process(changed_rig(name, duration, {}, **keys))
     assert differences(unchanged, second)
     first = min(changes)
-    for topic in unchanged.topics:  # nothing before the first change differs, and nothing waits a tick longer
+    # Nothing differs before the first change, and the change acts without a tick of delay.
+    for topic in unchanged.topics:
         k = sum(t < first * 1e9 for t in second.topics[topic].times)
         assert second.topics[topic].data[:k] == unchanged.topics[topic].data[:k]
     names = [m.name for m in rig.members]
@@ -104,7 +105,7 @@ def test_other_gains_of_a_pid_do_not_move_its_output():
     integral = pid.x.pid.integral
     pid.change(permit(type(pid.block), pid.block.p, {"kp": 4.0, "kd": 0.3}))
     assert pid.x.pid.integral != integral
-    after = pid.update(50, state=(0.1 * 49,), reference=(10.0,))["command"][0]  # the same error once more
+    after = pid.update(50, state=(0.1 * 49,), reference=(10.0,))["command"][0]  # the same control error again
     period = pid.block.p.period
     drift = 5.0 * period * (10.0 - 4.9)  # change of the integral in one period
     derivative = pid.x.pid.derivative
@@ -164,7 +165,8 @@ def test_metrics_and_report_show_what_changed_and_when(tmp_path):
     changes = {0.0501: {"dc_motor_smc.k": 60.0}, 0.5: {"dc_motor_smc.delta": 0.5}}
     run = simulate(changed_rig("dc_motor_smc_b2", 0.1, changes))
     result = summary(run, run.results, "softrig run dc_motor_smc_b2")
-    assert result["changes"] == [{"at_s": 0.06, "node": "dc_motor_smc", "set": {"k": 60.0}}]  # a period of 10 ms
+    # The change waits for the next tick, which is 10 ms after the last.
+    assert result["changes"] == [{"at_s": 0.06, "node": "dc_motor_smc", "set": {"k": 60.0}}]
     (tmp_path / "metrics.json").write_text(json.dumps(result))
     write_report([tmp_path], tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
@@ -223,7 +225,7 @@ def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_repeat_with_th
         if len(seen) == 4:
             for value in (30.0, 40.0):
                 world.at(world.now + max(late, 0), lambda value=value: messages.append(law.step.set({"k": value})))
-            if late < 0:  # within the tick itself
+            if late < 0:  # the change arrives within the tick
                 messages.append(law.step.set({"k": 20.0}))
         seen.append(t)
 
@@ -358,12 +360,13 @@ def test_a_fault_that_is_switched_off_is_off_whoever_switched_it_on():
     assert published(1, pressed=True) == 3.0
     assert fault.params.active
     assert published(2) == 3.0
-    fault.change(permit(type(fault.block), fault.params, {"active": False}))  # the value of the start
+    # The value that the fault has from the start.
+    fault.change(permit(type(fault.block), fault.params, {"active": False}))
     assert published(3) == 1.0
     fault.change(permit(type(fault.block), fault.params, {"active": True}))
     assert [published(4), published(5, pressed=True)] == [3.0, 1.0]
     fault.reset(0)
-    assert published(6) == 3.0  # the parameters of now, without the button
+    assert published(6) == 3.0  # a reset keeps the live parameters, but not the press of the button
 
 
 def test_references_in_changes_refer_to_the_parameters_at_the_start(tmp_path):

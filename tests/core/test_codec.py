@@ -96,7 +96,7 @@ def test_channels_have_other_names_for_outside_nodes_all_or_none():
 )
 def test_a_bad_message_is_refused_with_the_reason(data, reason):
     decode = Decoder(command("a", "t", ["u"], "V"))
-    for _ in range(2):  # the second time too: nothing may be learnt from it
+    for _ in range(2):  # repeated, because a refused message must not change the cached layout
         with pytest.raises(Refused, match=re.escape(reason)):
             decode(data)
 
@@ -129,7 +129,7 @@ def test_arbitrary_numbers_are_refused_or_read_correctly(port, numbers):
 def test_a_damaged_message_is_refused_or_finite(data):
     port = PORTS[0]
     whole = bytearray(port.layout().encode(123, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
-    numbers = st.integers(len(whole) - 32, len(whole) - 1)  # in this range a refusal can only concern the value
+    numbers = st.integers(len(whole) - 32, len(whole) - 1)  # in these bytes only the value can be refused
     for _ in range(data.draw(st.integers(1, 4))):
         whole[data.draw(numbers | st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     end = data.draw(st.just(len(whole)) | st.integers(0, len(whole)))
@@ -145,7 +145,7 @@ def test_a_damaged_message_is_refused_or_finite(data):
 def test_a_value_beyond_the_plausible_range_of_its_unit_is_refused():
     port = joint_state("a", "t", ["x", "y"], position="rad", velocity="rad/s")
     decode, encode = Decoder(port), port.layout().encode
-    large = (1e9, -1e9, 1e7, 1e7)  # each value at its own limit, beyond the smallest of the limits
+    large = (1e9, -1e9, 1e7, 1e7)  # each value at its own limit, which exceeds the smallest limit
     assert decode(encode(0, large))[1] == large
     for at, value, text in (
         (1, 1.1e9, "y/position is 1.1e+09 rad, expected at most 1e+09"),
@@ -165,9 +165,9 @@ def test_encoding_another_number_of_values_is_an_error():
         command("a", "t", ["u"], "V").layout().encode(0, (1.0, 2.0))
 
 
-# ---- all types, by another writer ----
+# ---- messages of all types, written by rosbags ----
 
-ROS = {  # the message of rosbags for what a message of ours holds
+ROS = {  # each creates the message of rosbags from stamp, frame, names, values and dimensions
     "builtin_interfaces/msg/Time": lambda s, f, n, v, d: TYPES["builtin_interfaces/msg/Time"](*divmod(s, 10**9)),
     "rosgraph_msgs/msg/Clock": lambda s, f, n, v, d: (TYPES["builtin_interfaces/msg/Time"](*divmod(s, 10**9)),),
     "std_msgs/msg/Header": lambda s, f, n, v, d: header(s, f),
@@ -330,12 +330,12 @@ def test_a_number_has_at_most_twelve_digits_and_leading_zeros_are_optional():
         message = parse(layout.msgtype, foreign)
         assert (message.dims[0][0], message.number) == result
     second = Layout(layout.msgtype, dims=(("a", 1), ("b; sequence 3", 1)), counts={"data": 1}).encode(0, (1.0,))
-    assert parse(layout.msgtype, second).number is None  # of the first dimension only
+    assert parse(layout.msgtype, second).number is None  # only the first dimension may have a number
 
 
-# Of a JointState with the frame "ab" and the name "q", effort 1 N: where each part stands, and what is wrong with a
-# message that ends there. 4 stamp, 12 length and 16 text of the frame, 20 names, 24 length and 28 text of the first,
-# 32 and 36 no position and no velocity, 40 one effort, 44 the effort (which is aligned from 4 on).
+# A JointState with the frame "ab", the name "q" and an effort of 1 N, cut at each byte. Byte 4: stamp; 12 and 16:
+# length and text of the frame; 20: number of names; 24 and 28: length and text of the name; 32 and 36: no position
+# and no velocity; 40: number of efforts; 44: the effort, aligned to 8 bytes from byte 4 on.
 CUT = [
     (range(4), 4, None),
     (range(4, 8), 4, None),
@@ -368,7 +368,7 @@ def test_a_message_that_is_cut_anywhere_names_the_truncated_part():
     ("msgtype", "at", "count", "text"),
     [
         ("sensor_msgs/msg/JointState", 12, 0, "a string of 0 bytes at byte 16 does not fit in 52"),
-        ("sensor_msgs/msg/JointState", 20, 11, "claims 11 names in 52 bytes"),  # each of 5 bytes at least
+        ("sensor_msgs/msg/JointState", 20, 11, "claims 11 names in 52 bytes"),  # each name needs at least 5 bytes
         ("sensor_msgs/msg/JointState", 40, 7, "claims 7 values of effort in 52 bytes"),
         ("sensor_msgs/msg/JointState", 40, 6, "52 bytes end inside a field at byte 44"),
         ("std_msgs/msg/Float64MultiArray", 4, 4, "claims 4 dimensions in 44 bytes"),

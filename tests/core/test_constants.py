@@ -29,7 +29,7 @@ class Law(Block[Params]):
     habit = staticmethod(lambda law, t: None)
 
     def setup(self):
-        self.gain = self.p.k  # here
+        self.gain = self.p.k
         self.kept, self.table = [], {"n": 0}
         self.helped()
 
@@ -52,14 +52,14 @@ def run(block_class, duration=1.0, **keys):
 
 class Rebinding(Law):
     def update(self, x, t):
-        self.count = t  # here
+        self.count = t
         return x, {"u": (0.0,)}
 
 
 class ByHelper(Law):
     def update(self, x, t):
         def inner():
-            self.gain += 1.0  # here
+            self.gain += 1.0
 
         inner()
         return x, {"u": (0.0,)}
@@ -67,7 +67,7 @@ class ByHelper(Law):
 
 class Deleting(Law):
     def update(self, x, t):
-        del self.gain  # here
+        del self.gain
         return x, {"u": (0.0,)}
 
 
@@ -82,7 +82,7 @@ class Swallowing(Law):
         try:
             self.n += 1
         except AttributeError:
-            self.n = 0  # here
+            self.n = 0
         return x, {"u": (0.0,)}
 
 
@@ -129,7 +129,7 @@ def test_setup_change_reset_and_code_outside_may_write():
     block.change(Params(k=3.0))
     assert (block.gain, block.twice) == (3.0, 6.0)
     block.reset(5)
-    block.gain = 7.0  # between two ticks, from outside
+    block.gain = 7.0  # a change from outside between two ticks is allowed
     assert ByHand(block).update(0) == {"u": (7.0,)}
 
     class Late(Law):
@@ -192,12 +192,12 @@ def test_a_tick_that_changes_an_attribute_in_place_is_named_after_the_second(hab
         f"law: its ticks change {name} in place (Bad); make its state a field of x, or name the attribute in "
         "SCRATCH if no answer depends on it"
     )
-    assert not session or done == [0, 100_000_000]  # and not at the end of the run
+    assert not session or done == [0, 100_000_000]  # the check is made at the first tick only, not at the end
 
 
 def test_a_late_change_is_found_by_a_thorough_run():
     late = law(lambda one, t: one.kept.append(t) if t > 500_000_000 else None)
-    Session(Rig.from_blocks({"law": late()}, 1.0)).go()  # its first two ticks are valid
+    Session(Rig.from_blocks({"law": late()}, 1.0)).go()  # its first two ticks keep the rule
     with pytest.raises(RunError, match=r"self\.kept in place"):
         run(late, thorough=True)
 
@@ -212,7 +212,7 @@ def test_scratch_caches_and_changed_parameters_are_not_state():
         one.cache[t] = t
         assert one.newest(t) == t + 1
         one.line.put((1.0,))
-        one.uniform(3)  # a cached property
+        one.uniform(3)  # computes a cached property
 
     fine = law(habit, setup=setup, SCRATCH=frozenset({"cache"}))
     rig = Rig.from_blocks({"law": fine()}, 1.0, changes=[{"at": 0.5, "set": {"law.k": 2.0}}])
@@ -223,7 +223,7 @@ def test_a_digest_covers_everything_that_an_attribute_leads_to():
     one, other = Law(), Law()
     assert contents(one) == contents(other)
     assert not {"self.p", "self.reports", "self.events"} & contents(one).keys()
-    one.kept = [one.kept, one]  # itself in it
+    one.kept = [one.kept, one]  # a list that contains itself
     one.kept.append(one.kept)
     assert differing(contents(one), contents(other)) == ["self.kept"]
     other.loop = [1.0]
@@ -240,4 +240,5 @@ def test_the_examples_of_the_page_keep_their_state_in_x(capsys):
     known["Speed"].go_on = known["go_on"]
     block = known["law"].block
     known["law"].change(block.p.model_copy(update={"ki": 0.4}))
-    assert known["law"].x.integral * block.p.ki == pytest.approx(0.1 * 0.2)  # its part of the voltage, as before
+    # The integral part of the voltage does not jump.
+    assert known["law"].x.integral * block.p.ki == pytest.approx(0.1 * 0.2)

@@ -161,7 +161,7 @@ def test_an_impossible_rig_names_the_line_of_its_file(folder, monkeypatch, entry
     (folder / "bad.yaml").write_text(f"extends: base\nduration: 0.5\n{entry}\n")
     with pytest.raises(ScenarioError, match=expected):
         figures_of(rig_of("bad", duration=0.2))
-    with pytest.raises(ScenarioError) as error:  # a value that is not written in the file has no line
+    with pytest.raises(ScenarioError) as error:  # the value is not in the file, so the message has no line
         figures_of(rig_of("base", overrides={"plant.gian": 2.0}))
     assert "line" not in str(error.value)
 
@@ -232,7 +232,8 @@ def test_a_run_in_process_has_one_message_a_tick_and_repeats(lag_rig):
 
 def test_a_run_reports_its_progress_about_a_hundred_times_and_at_its_end(monkeypatch):
     """2.05 s / 100 is about two of its ticks of 10 ms, so each third tick; the last tick is none of these."""
-    monkeypatch.setattr(choice, "unwanted", lambda *arguments: choice.SHORT)  # on a busy machine ticks would look dear
+    # On a busy machine the measured ticks would be too expensive.
+    monkeypatch.setattr(choice, "unwanted", lambda *arguments: choice.SHORT)
     monkeypatch.setattr(choice, "writes", lambda *arguments: False)
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.05))
     messages = []
@@ -356,7 +357,7 @@ def test_rows_of_numbers_in_a_shard_are_read_as_their_messages(tmp_path_factory,
     def warnings_of_run():
         return path.stat().st_size + len(writer._buffer)
 
-    for row in rows:  # a message from outside may come between two rows
+    for row in rows:  # A message from outside may arrive between two rows.
         before = warnings_of_run()
         if isinstance(row, bytes):
             writer.add(1, 5, row)

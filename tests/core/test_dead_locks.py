@@ -75,7 +75,7 @@ def test_a_lock_of_a_dead_process_is_freed_at_the_second_look(looks, tmp_path, p
     assert looks() == 0
     pid = locked(path, offset, dies=True)
     assert not free(path, offset)
-    assert [looks(), looks(), looks()] == [0, 1, 0]  # the process is a zombie
+    assert [looks(), looks(), looks()] == [0, 1, 0]  # a dead process that its parent has not waited for holds no lock
     assert free(path, offset)
     os.waitpid(pid, 0)
     os.waitpid(locked(path, offset, dies=True), 0)
@@ -85,7 +85,7 @@ def test_a_lock_of_a_dead_process_is_freed_at_the_second_look(looks, tmp_path, p
 def test_locks_of_the_living_and_those_of_others_stay(looks, tmp_path):
     number = of_domain(DOMAIN)[11]
     owned_port = port(tmp_path, number)
-    strange = port(tmp_path, number + 2, kind=0)  # a file with another layout
+    strange = port(tmp_path, number + 2, kind=0)  # a lock file of another layout
     other = port(tmp_path, of_domain(DOMAIN + 1)[11])
     cut = tmp_path / f"fastrtps_port{number + 4}"
     cut.write_bytes(owned_port.read_bytes()[:300])
@@ -124,7 +124,7 @@ sys.stdin.read()
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore:This process")  # of a fork beside the threads of Fast DDS
+@pytest.mark.filterwarnings("ignore:This process")  # Python warns about a fork while threads of Fast DDS run
 def test_a_writer_to_a_dead_reader_that_held_its_port_continues(tmp_path):
     """Without `DeadLocks` each message to it takes 1 s, until its lease ends."""
     import rclpy

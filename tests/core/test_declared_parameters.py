@@ -48,7 +48,7 @@ def blocks():
             try:
                 block = load_block(file.parent.name, name)
                 block.Params()
-            except (ScenarioError, ValueError):  # a tool; a block without defaults
+            except (ScenarioError, ValueError):  # an executable that is a tool, or a block without defaults
                 continue
             yield pytest.param(block, id=f"{file.parent.name}-{name}")
 
@@ -101,7 +101,7 @@ def served(node, block, state):
         adapter.hold._pace.change = lambda pace, now: paces.append(pace)
     current = [params]
 
-    def change(values):  # as a step does: checked as a whole, and what may not change stays
+    def change(values):  # a step checks all parameters together and refuses those that are not live
         fixed = [n for n in values if not {d.name: d for d in declarations(block.Params)}[n].live]
         assert not fixed, fixed
         current[0] = build(block.Params, flatten(current[0]) | values)
@@ -131,10 +131,10 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
                 response = node.offered[kind](parameters=[message])
                 (result,) = response.results if kind is SetParameters else [response.result]
                 actual = node._parameters[name]
-                # the parameter that no longer fits may be another one
+                # The refusal may name another parameter, which the new value makes invalid.
                 named = any(other in result.reason for other in before)
                 assert result.successful or (plain(actual) == kept and named), (name, hostile, result)
-                # a parameter without a value gets its first one
+                # A parameter without a value gets its first one.
                 first = type_ == Parameter.Type.NOT_SET and result.successful
                 assert first or actual.type_ == type_, (name, hostile, actual.type_)
                 kept, type_ = plain(actual), actual.type_

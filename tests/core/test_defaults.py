@@ -18,15 +18,15 @@ import pytest
 LIST = Path(__file__).with_name("defaults.txt")
 PACKAGES = ("softrig_core", "softrig_bags", "softrig_control", "softrig_nodes", "softrig_optim", "softrig_drives",
             "softrig_power", "softrig_robots", "softrig_systems", "softrig_bringup")  # fmt: skip
-LAZY = (  # of an extra; numba's; runs where it is imported
+LAZY = (  # modules of an optional package, of numba, or that run when imported
     "softrig_control.fmu.child",
     "softrig_control.fmu.slave",
     "softrig_core.kit._borrowed",
     "softrig_bringup.__main__",
 )
 BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
-SET = re.compile(r"^_?[A-Z]\w*(?:, _?[A-Z]\w*)*(?=: .* = | = )", re.M)  # names of a module, at the line's begin
-LONG = 300  # characters; tables longer than this have tests of their own
+SET = re.compile(r"^_?[A-Z]\w*(?:, _?[A-Z]\w*)*(?=: .* = | = )", re.M)  # names of a module start a line
+LONG = 300  # characters; longer tables have tests of their own
 
 
 def public(package):
@@ -57,7 +57,7 @@ def text_of(value):
     if isinstance(value, float | complex):
         return f"{value:.12g}"
     if isinstance(value, int) and not isinstance(value, bool):
-        return f"{int(value)}"  # also members of an enumeration
+        return f"{int(value)}"  # members of an enumeration included
     if isinstance(value, bool | str | None):
         return repr(value)
     if isinstance(value, tuple | list):
@@ -118,7 +118,7 @@ def test_no_default_changes_unnoticed(package):
     written, now = (dict(line.split(" = ", 1) for line in result) for result in (lines, defaults(package)))
     known = written.keys() & now.keys()
     assert {name: now[name] for name in known} == {name: written[name] for name in known}
-    assert len(known) > 0.9 * len(now)  # new defaults must be listed, too
+    assert len(known) > 0.9 * len(now)  # so most new defaults must be listed
 
 
 if __name__ == "__main__":

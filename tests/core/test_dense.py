@@ -26,7 +26,7 @@ def test_product_is_the_matrix_product(left, right, kinds):
     result = dense.product(a, b)
     assert np.shape(result) == np.shape(a @ b)
     np.testing.assert_allclose(result, a @ b, rtol=1e-14, atol=1e-14)
-    strided = dense.product(np.repeat(a, 2, axis=-1)[..., ::2], b)  # neither order nor strides matter
+    strided = dense.product(np.repeat(a, 2, axis=-1)[..., ::2], b)  # neither the order of memory nor strides matter
     np.testing.assert_array_equal(strided, result)
 
 
@@ -44,7 +44,7 @@ def test_sums_are_added_from_the_first_term_to_the_last(pairs):
 @pytest.mark.parametrize("n", [1, 2, 7, 18])
 def test_solve_solves(n, columns, kinds):
     a, b = draw((n, n), kinds[0]), draw((n, *columns), kinds[1])
-    a[0, 0] = 0.0 if n > 1 else 2.0  # needs another row first
+    a[0, 0] = 0.0 if n > 1 else 2.0  # the zero forces an exchange of rows
     kept = a.copy(), b.copy()
     x = dense.solve(a, b)
     assert x.shape == b.shape

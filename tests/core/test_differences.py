@@ -36,7 +36,7 @@ class Map:
         self.asked.append(np.array(x))
         w = np.array([0.5 + added.get(name, 0.0) for name in self.inputs])
         more, remaining = added.get(self.link, 0.0), self.g(x, 0.0, w)[-1] if self.link else 0.0
-        # held: what is put in its place; else what it says of itself, too
+        # A fixed value replaces the message of the link; otherwise the feedthrough of the message is solved for.
         v = fixed[self.link] + more if fixed else (remaining + more) / (1.0 - self.direct)
         messages = {self.link: remaining + self.direct * v} if self.link else {}
         own = dict(zip(self.outputs, self.g(x, v, w), strict=False))
@@ -88,7 +88,7 @@ def test_the_linear_view_of_a_linear_map_is_the_map_in_the_states_that_count(see
         if not opened or hear & received:
             break
     still = [i for i in range(n) if rng.random() < 0.2]
-    for i in still:  # constant, like parameters
+    for i in still:  # these states are constant, like parameters
         A0[i], B0[i], b0[i] = np.eye(n)[i], 0.0, 0.0
     if opened and not reached(A0, np.flatnonzero(b0)) & reached(A0.T, np.flatnonzero(c0)):
         return
@@ -117,7 +117,7 @@ def test_the_linear_view_of_a_linear_map_is_the_map_in_the_states_that_count(see
     if not opened:
         e0, direct = np.zeros(2), 0.0
     assert (view.a.tolist(), view.b.tolist(), view.c.tolist(), view.d) == (a.tolist(), b.tolist(), c.tolist(), direct)
-    back = 1.0 / (1.0 - direct)  # gain of the loop that the direct feedthrough closes
+    back = 1.0 / (1.0 - direct)  # gain of the loop closed by the direct feedthrough
     assert view.A.tolist() == (a + back * np.outer(b, c)).tolist()
     assert view.B.tolist() == (B0[k] + back * np.outer(b, e0)).tolist()
     assert view.C.tolist() == (C0[:, k] + back * np.outer(d0, c)).tolist()
@@ -138,7 +138,8 @@ def best_step(f, x, size):
     rows = [((f(x + h) - f(x - h)) / (2.0 * h), h) for h in (size * 2.0**-n for n in range(4, 33, 4))]
     best = None
     for (slope, _), (finer, step) in pairwise(rows):
-        error = abs(finer - slope) / max(abs(finer), 1.0)  # the disturbed signal itself has the slope 1
+        # Relative to a slope of 1, which is that of the disturbed signal.
+        error = abs(finer - slope) / max(abs(finer), 1.0)
         if best is None or error < best[0]:
             best = error, slope if error <= 1e-11 else finer, step
         if error <= 1e-11:
@@ -167,7 +168,7 @@ def test_a_column_is_computed_where_two_neighbouring_steps_agree_best(f, x, size
         {0: step},
     )
     assert view.worst == "plant.x[0]"
-    # ten periods from a 256th of the step off, both ways: against the slope
+    # Compare ten periods, started a 256th of the step away on both sides, with the linear model.
     ups, downs, off, worst, largest = x + step / 256.0, x - step / 256.0, step / 256.0, 0.0, 0.0
     for _ in range(10):
         ups, downs, off = f(ups), f(downs), slope * off
@@ -181,7 +182,8 @@ def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
     differences = Differences(m, ["plant/y"], [], "")
     view = differences.view()
     off = differences.steps[0] / 256.0
-    up, down, worst, largest = 1.0 + off, 1.0 - off, 0.0, differences.steps[1] / 512.0  # of the second, after a period
+    # `largest` is that of the second disturbance after one period.
+    up, down, worst, largest = 1.0 + off, 1.0 - off, 0.0, differences.steps[1] / 512.0
     for _ in range(10):
         up, down, off = math.sin(up), math.sin(down), view.A[0, 0] * off
         worst, largest = max(worst, abs((up - down) / 2.0 - off)), max(largest, abs(up - down) / 2.0)
@@ -225,7 +227,8 @@ def fenced(limit):
 def test_a_step_that_breaks_the_rig_is_shortened_and_its_failure_reported():
     differences = Differences(fenced(2.0**-10), ["plant/y"], [], "")
     assert differences.view().A.tolist() == [[0.5]]
-    assert differences.steps == {0: 2.0**-16}  # of 2^-12 and it
+    # 2^-12 is the first step inside the fence, and 2^-16 confirms its slope.
+    assert differences.steps == {0: 2.0**-16}
     with pytest.raises(RunError, match=r"^made: plant\.x\[0\] cannot be moved at 1\.5 s, however little$"):
         Differences(fenced(0.0), ["plant/y"], [], "").view()
 
@@ -237,10 +240,10 @@ def test_a_changing_value_that_is_not_a_float_is_reported():
     with pytest.raises(RunError, match=text):
         Differences(m, ["plant/y"], [], "").view()
     m.asked.clear()
-    m.others = lambda: [("plant.n", 1)] * (len(m.asked) > 1)  # which there was none of before
+    m.others = lambda: [("plant.n", 1)] * (len(m.asked) > 1)  # a search that did not exist before the disturbance
     with pytest.raises(RunError, match=text):
         Differences(m, ["plant/y"], [], "").view()
-    m.follows = lambda *_: False  # it does, but nothing follows from it
+    m.follows = lambda *_: False  # the search exists, but no signal depends on it
     assert Differences(m, ["plant/y"], [], "").view().A.tolist() == [[0.5]]
 
 
@@ -264,7 +267,7 @@ def test_too_many_states_are_reported(monkeypatch, count, text):
         return
     with pytest.raises(RunError, match=f"^made: {text}.* expected at most 5 states: a long delay has one or more"):
         differences.states()
-    assert (not m.asked) == (count > 9)  # before anything is tried
+    assert (not m.asked) == (count > 9)  # refused before any disturbance
 
 
 def test_infinite_numbers_and_numbers_too_large_to_move_have_no_columns():

@@ -52,7 +52,7 @@ KINDS = {name: make_scenario(nodes, 0.05) for name, (nodes, _) in PROCESS_RIGS.i
         "lost": {"link": "lag/command", "kind": "loss", "probability": 0.4},
         "noise": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
         "late": {"link": "lag/state -> gain", "kind": "delay", "delay": 0.02, "jitter": 0.03, "from": 0.05,
-                 "holds": True}}),  # for when gain is outside
+                 "holds": True}}),  # a fault that also applies if gain is external
     "three who follow": make_scenario(BASIC | {
         name: slow(0.01 * every, executable="watcher") for name, every in (("near", 1), ("half", 2), ("far", 6))}, 0.3),
     "solver": make_scenario(BASIC | {
@@ -211,7 +211,7 @@ def guests(kind, rng):
     """
     members = [m for m in rig_and_record(kind)[0].members if m.package == "faultrig"]
     members = [m for m in members if m.outputs and not any(p.sporadic for p in m.outputs)]
-    # an outside node is not notified of silence either: an outside plant needs a command at each tick
+    # An external node does not learn of silence either, so an external plant needs a command at each tick.
     paced = [m for m in members if any(not link.port.sporadic for link in m.links.values())]
     plants = [m.name for m in paced if m.is_plant]
     others = [m.name for m in members if not m.is_plant]
@@ -343,7 +343,7 @@ def real_time(kind, seed, outside=(), stalls=0):
         else:
             world.at(world.now + 50 * MS, strike)
 
-    for k in range(stalls):  # before the start and during the run
+    for k in range(stalls):  # nodes stall before the start and during the run
         world.at(world.now + rng.randrange(1_000 * MS), strike if k % 2 == 0 else lambda: stall(run, rng))
     states = run.run(60.0)
     wrong = [f"{m.name} has not come" for m in rig.members if not m.external and m.name not in states]
@@ -366,7 +366,7 @@ def real_time(kind, seed, outside=(), stalls=0):
             if ticks != sorted(set(ticks)) or due - len(ticks) != missed:
                 wrong.append(f"{port.topic}: {len(ticks)} messages in {due} ticks, {missed} counted as missed")
     whole = all(a.ticks == a.schedule.tick(a.schedule.last) + 1 for a in run.adapters.values())
-    # a node that slept through a tick may answer another one
+    # A node that misses a tick while it sleeps may answer the next one instead.
     for member in (m for m in rig.members if m.external and whole):
         for port in (p for p in member.outputs if not p.sporadic and p.stamped and not p.delayed):
             topic, text = run.recording.topics[port.topic], expected.topics[port.topic]
@@ -502,6 +502,6 @@ def test_a_hundred_thousand_starts():
     """Six CPU minutes on each of two cores; `SOFTRIG_STARTS` sets another number, `trial(seed)` repeats one."""
     number = int(os.environ.get("SOFTRIG_STARTS", "100000"))
     firsts = range(0, number, 500)
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:  # this process has threads of DDS
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:  # spawn, because this process has threads of DDS
         results = [line for lines in pool.map(share, firsts, (min(f + 500, number) for f in firsts)) for line in lines]
     assert results == []

@@ -114,7 +114,7 @@ def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
         monkeypatch.setattr(domain, "BEYOND", ())
         with pytest.raises(RunError, match="in use"), free_domain():
             pass
-        # a domain that is requested by its number is used although a session is in it
+        # A domain that is requested by number is used even if a session is in it.
         with free_domain(number) as wanted:
             assert wanted == number
     assert number not in domain.inhabited()

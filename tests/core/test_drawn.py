@@ -47,7 +47,8 @@ def test_a_camera_projects_along_its_axes(azimuth, elevation):
     assert (x.min() + x.max(), y.min() + y.max()) == pytest.approx((2 * 230.0, 2 * 200.0))
     assert max(np.ptp(x) / 400.0, np.ptp(y) / 300.0) == pytest.approx(1.0)
     assert (fitted.azimuth, fitted.elevation) == (azimuth, elevation)
-    still = camera.fitted([(1.0, 2.0, 3.0)] * 2, 0.0, 0.0, 8.0, 4.0)  # no size: it stands in the middle
+    # A single point has no size and is drawn in the middle.
+    still = camera.fitted([(1.0, 2.0, 3.0)] * 2, 0.0, 0.0, 8.0, 4.0)
     assert still((1.0, 2.0, 3.0)) == pytest.approx((4.0, 2.0), abs=1e-3)
 
 
@@ -61,7 +62,7 @@ def test_rows_of_the_past_are_selected_evenly_up_to_now(count, points):
     assert all(a <= b for a, b in pairwise(results))
     assert all(abs(x - (count - 1) * k / (points - 1)) <= 0.5 for k, x in enumerate(results))
     picked = [row["k"] for row in _newest(rows[:-1], rows[-1], points)]
-    if count <= points:  # the first stands for what was before it
+    if count <= points:  # the first row is repeated for the time before it
         assert picked == [0.0] * (points - count) + [float(k) for k in range(count)]
     else:
         assert all(abs(x - (count - 1) * k / (points - 1)) <= 0.5 for k, x in enumerate(picked))
@@ -115,7 +116,7 @@ def test_a_quantity_is_found_at_the_plant_then_at_those_linked_to_it_then_elsewh
     assert named([far, other, writes, plant], "speed").name == "writes/speed/x"
     assert named([far, writes, reads, plant], "speed").name == "writes/speed/x"
     assert named([other, far, plant], "speed").name == "far/speed/x"
-    assert named([far, reads, plant], "out").name == "reads/speed/x"  # by the name of its port
+    assert named([far, reads, plant], "out").name == "reads/speed/x"  # a port is known by its own name as well
     assert named([far, reads, plant], "load").name == "reads/load/x"
     assert named([far, other, plant], "mass") == Quantity("", "", 3.0)
     assert named([far, plant], "state", "z") == Quantity("", "", 3.0)
@@ -133,7 +134,8 @@ def test_arrows_boxes_arcs_and_circles_are_as_expected():
     line, head = shapes(lambda pen: pen.arrow((10.0, 10.0), (10.0, 40.0), "alarm", 3.0, 10.0))
     assert line == Line(((10.0, 10.0), (10.0, 30.0)), "alarm", 3.0)
     assert head == Polygon(((10.0, 40.0), (6.0, 30.0), (14.0, 30.0)), "alarm", "alarm", 0)
-    line, head = shapes(lambda pen: pen.arrow((0.0, 0.0), (3.0, 4.0)))  # all head, and smaller
+    # Too short for a shaft, so only a smaller head is drawn.
+    line, head = shapes(lambda pen: pen.arrow((0.0, 0.0), (3.0, 4.0)))
     assert (line.points, head.points) == (((0.0, 0.0), (0.0, 0.0)), ((3.0, 4.0), (-1.6, 1.2), (1.6, -1.2)))
     line, head = shapes(lambda pen: pen.arrow((5.0, 5.0), (5.0, 5.0)))
     assert {*line.points, *head.points} == {(5.0, 5.0)}
@@ -141,7 +143,7 @@ def test_arrows_boxes_arcs_and_circles_are_as_expected():
     assert box == Polygon(((1.0, 2.0), (11.0, 2.0), (11.0, -3.0), (1.0, -3.0)), "muted", "faint", 0.5)
     (arc,) = shapes(lambda pen: pen.arc((0.0, 0.0), 10.0, 0.0, math.pi, "line", 2.0))
     assert (len(arc.points), arc.points[0], arc.points[-1]) == (24, (10.0, 0.0), (-10.0, 0.0))
-    assert min(y for _, y in arc.points) == -10.0  # up on a sheet whose y is down
+    assert min(y for _, y in arc.points) == -10.0  # upward, since y points down on a sheet
     assert polar((1.0, 2.0), 2.0, math.pi / 2.0) == pytest.approx((1.0, 0.0))
     circle, text = shapes(lambda pen: (pen.circle((1.04, 2.06), 3.25), pen.text((1.0, 2.0), "a", "muted", 9.0, "end")))
     assert circle == Circle((1.0, 2.1), 3.2)

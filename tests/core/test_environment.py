@@ -70,7 +70,7 @@ def test_with_its_own_law_as_agent_it_equals_the_rig_bit_for_bit(name, law, dura
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, 3, recording)
     env = RigEnv(rig, law, reward=lambda now: 0.0, record=True)
-    for _ in range(2):  # the second on blocks that have been used
+    for _ in range(2):  # the second time with blocks that have run before
         observation, _ = env.reset(seed=3)
         steps = episode(env, env.published(), observation)
         assert [s[3] for s in steps] == [False] * (len(steps) - 1) + [True]
@@ -80,7 +80,8 @@ def test_with_its_own_law_as_agent_it_equals_the_rig_bit_for_bit(name, law, dura
 def test_gymnasiums_checker_finds_no_fault():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", ".*(normalized space|not having a spec)")  # volts; made by hand
+        # The checker prefers normalised actions and registered environments.
+        warnings.filterwarnings("ignore", ".*(normalized space|not having a spec)")
         check_env(motor())
         check_env(RigEnv(**MOTOR, reward=lambda now: 0.0))
 
@@ -113,14 +114,14 @@ def test_environments_side_by_side_equal_single_ones():
     many.reset(seed=[5, 6, 7])
     results = [many.step(np.full((3, 1), 3.0))[0] for _ in range(5)]
     assert [f[0].tolist() for f in results] == alone
-    apart = gymnasium.vector.AsyncVectorEnv([motor] * 2, context="spawn")  # this process has threads: no fork
+    apart = gymnasium.vector.AsyncVectorEnv([motor] * 2, context="spawn")  # spawn, because this process has threads
     try:
         apart.reset(seed=[5, 6])
         assert [apart.step(np.full((2, 1), 3.0))[0].tolist() for _ in range(5)] == [f[:2].tolist() for f in results]
-        for _ in range(25):  # each environment ends its episode
+        for _ in range(25):  # each environment ends its episode here
             _, _, terminated, truncated, _ = apart.step(np.full((2, 1), 3.0))
         assert (terminated.tolist(), truncated.tolist()) == ([False] * 2, [True] * 2)
-        again = apart.step(np.full((2, 1), 3.0))[0]  # and begins the next, from rest
+        again = apart.step(np.full((2, 1), 3.0))[0]  # the next episode begins at rest
         assert again.tolist() == [[0.0]] * 2
     finally:
         apart.close()
@@ -135,11 +136,13 @@ DRIVE = {"what": "induction_dtc", "duration": 0.02, "reward": lambda now: now["c
 
 @pytest.mark.parametrize(("keys", "size", "least"), [
     (MOTOR | {"observe": ["speed", "motor/sensors/current_a"], "act": ["voltage"], "penalty": -100.0,
-              "reward": lambda now: -abs(now["speed"] - now["set_point"])}, 14.0, 120),  # beyond 12 V it reports
+              # An action beyond 12 V causes a report.
+              "reward": lambda now: -abs(now["speed"] - now["set_point"])}, 14.0, 120),
     pytest.param(MOTOR | {"replace": "motor_reference", "observe": ["speed"], "reward": lambda now: now["voltage"],
-                          "overrides": {"motor_reference.period": 0.002}},  # several ticks a step
+                          # One step of the environment lasts several ticks.
+                          "overrides": {"motor_reference.period": 0.002}},
                  2.0, 180, marks=pytest.mark.long),
-    # a rig that watches this requirement does not run natively
+    # A rig that watches this requirement does not run natively.
     (MOTOR | {"reward": lambda now: 0.0, "terminate": ["settles"]}, 1.0, 0),
     pytest.param(DRIVE | {"replace": "dtc_controller", "act": LEGS}, 2.0, 2_400, marks=pytest.mark.long),
     pytest.param(DRIVE | {"replace": "speed_controller"}, 20.0, 180, marks=pytest.mark.long),
@@ -193,7 +196,7 @@ def test_a_state_with_complex_numbers_is_restored_as_it_was_stored():
 
 def test_a_seed_is_that_of_the_rig_and_random_without_one():
     env = RigEnv("induction_dtc", "dtc_controller", observe=["i_a"], reward=lambda now: 0.0, duration=0.005)
-    law = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of all its outputs, one leg is on
+    law = np.array([1.0, 0, 0, 0, 0, 0, 0])  # all outputs of the controller: one leg is on
 
     def noise(**keys):
         env.reset(**keys)
@@ -230,7 +233,7 @@ def test_a_violated_requirement_ends_an_episode():
     assert len(steps) < 30
     with pytest.raises(RuntimeError, match=r"no episode is under way: reset\(\) begins one"):
         env.step([0.0])
-    assert env.reset(seed=0)[0].tolist() == observation.tolist()  # the environment is usable after that
+    assert env.reset(seed=0)[0].tolist() == observation.tolist()  # the environment stays usable
 
 
 class Tank(Plant):
@@ -290,7 +293,7 @@ def test_a_bad_action_is_refused(action):
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"expected an action of \(1,\) finite numbers"):
         env.step(action)
-    env.step([1.0])  # the episode goes on
+    env.step([1.0])  # the episode continues after the refused action
 
 
 def test_a_reward_that_is_not_a_number_is_reported():
@@ -389,7 +392,7 @@ def test_a_policy_of_an_installed_package_runs_as_a_node_and_is_judged_as_the_la
         run.signals["motor/state/shaft/velocity"][1],
         0.0,
     )
-    for u, w in zip(act.tolist(), speed.tolist(), strict=False):  # the policy has a memory, which each run resets
+    for u, w in zip(act.tolist(), speed.tolist(), strict=False):  # the policy has a memory, which a run must reset
         last = 0.9 * last + 2.0 * (1.0 - w)
         assert u == min(max(last, -12.0), 12.0)
     file = tmp_path / "shaky_motor.yaml"
@@ -414,10 +417,10 @@ def test_the_page_trains_a_policy_and_its_statements_hold(tmp_path, monkeypatch,
     shown_numbers, printed = (
         [float(n) for n in re.findall(r"\b\d[\d.]*", t)] for t in (shown, capsys.readouterr().out)
     )
-    assert printed[1::2] == shown_numbers[1::2] == [0.62, 1.18, 0.0]  # the law's
+    assert printed[1::2] == shown_numbers[1::2] == [0.62, 1.18, 0.0]  # the lines of the controller
     assert printed[::2] == pytest.approx(
         shown_numbers[::2], rel=0.2, abs=0.01
-    )  # a search ends elsewhere with other last bits
+    )  # other last bits lead the search to a slightly different policy
     assert all(policy < law for policy, law in zip(printed[:4:2], printed[1:4:2], strict=True))
     written = load_scenario(str(tmp_path / "dc_motor_policy.yaml"))
     assert simulate(written, duration=3.0).figures == known["run"].figures
@@ -428,7 +431,7 @@ def test_the_page_trains_a_policy_and_its_statements_hold(tmp_path, monkeypatch,
         observed, _, terminated, truncated, _ = env.step(sent[-1:])
         done = terminated or truncated
     node = known["run"].signals["motor/command/armature/effort"].x[: len(sent)].tolist()
-    assert (len(sent) > 50, sent) == (True, node)  # equal to the last bit
+    assert (len(sent) > 50, sent) == (True, node)  # equal up to the last bit
     exec(blocks[3], known)
     act = known["damped"]([0.5, 2.0], 1, 1)
     assert [act([1.0]), act([1.0])] == [[2.0], [3.0]]

@@ -23,7 +23,7 @@ NAN, INF = math.nan, math.inf
         ("2.e1 +- 5", {"expected": 20.0, "tolerance": 5.0}),
         ("0.4 +- 0.1", {"expected": 0.4, "tolerance": 0.1}),
         ("-8 +- 25%", {"expected": -8.0, "tolerance": 2.0}),
-        ("1.2 +- 0.3", {"expected": 1.2, "tolerance": 0.3}),  # a quarter but for rounding: 0.3 / 1.2 is above it
+        ("1.2 +- 0.3", {"expected": 1.2, "tolerance": 0.3}),  # rounding makes 0.3 / 1.2 larger than a quarter
         ("0 +- 7", {"expected": 0.0, "tolerance": 7.0}),
         ("3 +- 0", {"expected": 3.0, "tolerance": 0.0}),
         (44, {"expected": 44.0, "tolerance": 0.0}),
@@ -152,7 +152,7 @@ def test_agreement_with_a_claim_is_as_expected(arguments, others, agrees, not_ag
 
 
 def test_a_claim_agrees_at_the_edge_of_its_tolerance_within_rounding():
-    one = claim(published=0.3, tolerance=0.1)  # 0.3 - 0.1 is not the double of 0.2
+    one = claim(published=0.3, tolerance=0.1)  # 0.3 - 0.1 is not exactly 0.2
     assert one.agrees(0.2)
     assert one.agrees(0.4)
     assert not one.agrees(0.3 - 0.1 * (1.0 + 2e-9))

@@ -87,7 +87,7 @@ def test_a_kept_answer_for_another_value_is_dropped_and_reported(tmp_path):
     assert replayed(tmp_path, done.name).wrong_status >= 1
 
 
-COMPILERS = {  # each must give the same bits; the last one ends the program at what C leaves open
+COMPILERS = {  # all must compute the same bits; the last one aborts on undefined behaviour
     "clang -O0": ("clang", "-O0"),
     "clang -O2": ("clang", "-O2"),
     "clang -O3": ("clang", "-O3"),
@@ -194,7 +194,7 @@ def test_small_functions_have_the_bits_of_python(tmp_path):
 
 
 RIGS = [
-    ("dc_motor_smc_faults", {"dc_motor_metrics"}),  # random numbers, a fault, members of other periods
+    ("dc_motor_smc_faults", {"dc_motor_metrics"}),  # random numbers, a fault, and nodes of other periods
     *(
         pytest.param(*rig, marks=pytest.mark.long)
         for rig in (("dc_motor_fsfb", {"axis_metrics"}), ("induction_dtc", {"flux_monitor"}), ("pwa_delay_p3", set()))
@@ -260,7 +260,7 @@ def test_a_state_continues_under_other_gains_as_in_python(tmp_path):
     text = source.read_text()
     source.write_text(re.sub(r"(?<=s->x\.f0 = )r;(?=[^}]*}[^}]*}[^}]*known)", "x;", text, count=1))
     assert source.read_text() != text
-    assert replayed(tmp_path, done.name).differing > 10  # the voltage jumps
+    assert replayed(tmp_path, done.name).differing > 10  # the wrong assignment makes the voltage jump
 
 
 class Remembered(NamedTuple):
@@ -401,9 +401,9 @@ def test_there_is_no_recursion_no_dynamic_memory_and_no_compiler_warning(law):
     graph = calls(text)
     assert {f"{done.name}_step", f"{done.name}_init"} <= graph.keys()
     order = list(TopologicalSorter({f: {c for c in own if c in graph} for f, own in graph.items()}).static_order())
-    assert order[-1] in graph  # a CycleError else
+    assert order[-1] in graph  # a recursion would raise a CycleError
     assert not {"malloc", "calloc", "realloc", "free", "alloca", "setjmp"} & set().union(*graph.values())
-    assert not re.search(r"\b(while|goto|do) *\(|\bfor \(;;\)", text)  # each loop has its bound in its head
+    assert not re.search(r"\b(while|goto|do) *\(|\bfor \(;;\)", text)  # the head of each loop has its bound
     warnings = ["-Wall", "-Wextra", "-Wconversion", "-pedantic", "-std=c99", "-Werror", "-fsyntax-only"]
     subprocess.run(["cc", *warnings, f"{done.name}.c", f"{done.name}_main.c"], cwd=folder, check=True)
 

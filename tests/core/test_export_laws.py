@@ -172,7 +172,7 @@ def push(a, v):
     a.append(v)
 
 
-def stored(v, kept=[]):  # noqa: B006 - as somebody may have it
+def stored(v, kept=[]):  # noqa: B006 - a mutable default, as users write it
     kept.append(v)
     return float(len(kept))
 

@@ -121,7 +121,7 @@ def test_the_library_has_the_functions_of_c(name):
     rows += [tuple(draw.uniform(-1, 1) * 10.0 ** draw.uniform(-5, 15) for _ in range(arity)) for _ in range(300)]
     for row in rows:
         if name == "fmod" and math.inf > abs(row[0]) > 1e20 * abs(row[1]) > 0.0:
-            continue  # halving takes long
+            continue  # the algorithm halves its argument, which takes long for such values
         result, wanted = own(*row), c(*row)
         if math.isnan(wanted):
             assert math.isnan(result), row
@@ -180,7 +180,7 @@ def test_the_interpreter_follows_the_rules_of_the_language():
     program = Program(BLOCK)
     block = program.block()
     program.call(block)
-    assert (block.x.a, block.y.a) == (5.0, 5.0)  # by reference; what is handed by value stays
+    assert (block.x.a, block.y.a) == (5.0, 5.0)  # inputs by reference change, those by value do not
     assert block.x.row == [0, -3, -1]
     assert block.y.row == [0, 0, 0]
     assert (block.k, block.ok, block.q) == (1, False, -math.inf)

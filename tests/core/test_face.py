@@ -18,11 +18,12 @@ def typed():
 
 def test_every_public_name_is_typed_and_is_the_one_of_its_module():
     assert typed() == softrig_core._HOME
-    for name, module in typed().items() - {("Held", "softrig_core.former")}:  # a former name of another module's class
+    # A class that another module defined before.
+    for name, module in typed().items() - {("Held", "softrig_core.former")}:
         value = getattr(softrig_core, name)
         assert value is vars(sys.modules[module])[name], name
         written = getattr(value, "__module__", module)
-        # the module that defines it, not one that re-exports it
+        # The module that defines the class, not one that re-exports it.
         assert written == module or not written.startswith("softrig"), name
 
 

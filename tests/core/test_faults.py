@@ -125,7 +125,8 @@ def test_noise_and_losses_have_their_stated_statistics_and_repeat_by_seed():
     lost = through([0.0] * n, kind="loss", probability=0.2).count(None)
     assert lost / n == pytest.approx(0.2, abs=0.03)
     bursts = through([0.0] * n, kind="loss", burst_begins=0.02, burst_ends=0.1)
-    share = bursts.count(None) / n  # a burst lasts 10 messages, one begins 50 after the last one ended
+    # On average a burst lasts 10 messages, and the next begins 50 messages after its end.
+    share = bursts.count(None) / n
     assert share == pytest.approx(0.02 / (0.02 + 0.1), abs=0.05)
     begun = sum(a is not None and b is None for a, b in pairwise(bursts))
     assert bursts.count(None) / begun == pytest.approx(10.0, rel=0.35)
@@ -313,7 +314,8 @@ def test_after_a_link_of_acquisition_times_the_first_message_is_new_whatever_its
         silent = ByHand(Fault(kind="silence", **about, **kind))
         silent.block.ages = lambda name: 0
         message = Sample(9, (1.0,)) if "delayed" in kind else (1.0,)
-        assert silent.update(9, sent=message, toggle=None) == {"arrived": first}  # held is what there was before
+        # A silent link holds the message that it had delivered before.
+        assert silent.update(9, sent=message, toggle=None) == {"arrived": first}
 
 
 def limits_of(p):
@@ -383,7 +385,7 @@ def test_messages_that_no_subscriber_accepts_are_rejected_by_each_separately():
     assert list(np.flatnonzero(bad)) == list(range(0, len(text), 5))
     assert list(u[~bad]) == list(2.0 * (r - text)[~bad])
     held = np.flatnonzero(bad)[1:]
-    assert list(u[held]) == list(u[held - 1])  # the answer before is held
+    assert list(u[held]) == list(u[held - 1])  # the controller repeats its last answer
     assert run.blocks["gain"].reports["refused state"][2] == bad.sum()
     with pytest.raises(RunError, match=r"plant refuses lag/command/bad at t = 0.1 s: u/effort is nan"):
         simulate(faulty(bad={"link": "lag/command", "kind": "invalid", "from": 0.1}))
@@ -428,7 +430,7 @@ def test_an_impossible_fault_is_refused_in_one_line(fault, reason):
     for name in ("bag", "log"):
         with pytest.raises(ScenarioError, match=f"fault {name}: a run's folder has a {name} of its own"):
             faulty(**{name: {"link": "lag/state"}})
-    for name in ("__proto__", "a__b"):  # ROS takes no such name for a node
+    for name in ("__proto__", "a__b"):  # ROS refuses these names of nodes
         with pytest.raises(ValueError, match="pattern"):
             faulty(**{name: {"link": "lag/state"}})
     with pytest.raises(ScenarioError, match="that is the name of a node"):

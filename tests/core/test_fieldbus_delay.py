@@ -22,7 +22,7 @@ def pass_through(link, ticks=200, seed=0, data=lambda k: (float(k), -float(k))):
 def test_a_sample_arrives_whole_periods_later_under_its_own_stamp(delay):
     arrived = pass_through(ByHand(FieldbusDelay(delay=0.01 * delay)), 60)
     for k, sample in enumerate(arrived):
-        j = max(0, k - delay)  # before the first arrival: the initial sample, under its stamp
+        j = max(0, k - delay)  # before the first arrival, the initial sample under its own stamp
         assert sample == Sample(j * PERIOD, (float(j), -float(j)))
 
 
@@ -59,7 +59,8 @@ def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
     link = ByHand(FieldbusDelay(name="link", delay=0.06, jitter=0.04))
     result = ages(link, ticks=20_000)
     assert min(result) == 6
-    # age 6 when the sample sent 6 periods ago had no extra delay; 7 when that of 7 had at most one; ...
+    # The age is 6 periods if the sample sent 6 periods ago had no extra delay, 7 if the one sent 7 periods ago had at
+    # most one, and so on.
     expected = {6: 0.2, 7: 0.8 * 0.4, 8: 0.8 * 0.6 * 0.6, 9: 0.8 * 0.6 * 0.4 * 0.8, 10: 0.8 * 0.6 * 0.4 * 0.2}
     for age, share in expected.items():
         assert result.count(age) / len(result) == pytest.approx(share, abs=0.015)
@@ -73,7 +74,7 @@ def test_a_long_line_is_a_sorted_list(spread):
     row = line.native()
     for t in range(3000):
         due = t + 400 + rng.randint(0, spread)
-        if row.end == len(row.dues):  # full: native code leaves such a tick to Python
+        if row.end == len(row.dues):  # if the queue is full, native code leaves the tick to Python
             row = row.python().native()
         stamp, message = t ^ (spread > 0), (float(t),)
         line, row = line.put(due, stamp, message), row.put(due, stamp, message)
@@ -136,7 +137,7 @@ def test_random_numbers_depend_only_on_seed_and_name():
     link = make("link", jitter=0.05)
     result = ages(link, seed=3)
     assert ages(link, seed=4) != result
-    assert ages(link, seed=3) == result  # a reset forgets everything
+    assert ages(link, seed=3) == result  # a reset clears the queue
     assert ages(make("other", jitter=0.05), seed=3) != result
 
 
@@ -156,8 +157,8 @@ def test_samples_of_a_slow_sender_are_not_sent_twice():
         stamps.append(link.update(k * PERIOD, sent=Sample(j * PERIOD, (float(j), 0.0)))["arrived"].stamp // PERIOD)
     changes = [k for k in range(1, 400) if stamps[k] != stamps[k - 1]]
     assert all(k % 10 == 3 for k in changes)
-    assert 10 < len(changes) < 30  # half of the forty messages are lost, each as a whole
-    assert not link.reports  # a message that is held is none that comes too late
+    assert 10 < len(changes) < 30  # the link loses half of the forty messages, with all their repetitions
+    assert not link.reports  # a repeated message does not count as late
 
 
 def test_out_of_order_input_is_dropped_and_reported():

@@ -30,7 +30,8 @@ def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
     result = checked(tmp_path, name, layout, "arduino")
     assert result.rows >= 80
     assert result.differing == 0
-    assert 3000 < result.longest < 8000  # cycles: 3,567 at most in a prototype, which drew no subnormal numbers
+    # Cycles; 3,567 were the most that a prototype needed, without subnormal numbers.
+    assert 3000 < result.longest < 8000
     assert result.flash < FLASH / 3
     assert result.ram + result.stack < RAM / 2
     draft = read_draft("dc_motor_smc_b2")
@@ -39,7 +40,7 @@ def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
     rigs = [rig_of(replace(draft, raw=merge(draft.raw, raw))) for raw in (merge(link, gains), gains)]
     board, python = (simulate(rig, duration=0.3).recording.topics for rig in rigs)
     assert board["motor/true_state"].data == python["motor/true_state"].data
-    assert board["motor/command"].data != python["motor/command"].data  # in float
+    assert board["motor/command"].data != python["motor/command"].data  # the board computes in single precision
 
 
 @pytest.mark.long

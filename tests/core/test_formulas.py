@@ -140,10 +140,12 @@ class Loops:
                 return max((min(self.at(inner[1], i, arrived, lost), held[i]) for i in window), default=-math.inf)
             values = [self.at(inner[0], i, arrived, lost) for i in window]
             return min(values, default=math.inf) if kind == "historically" else max(values, default=-math.inf)
-        if high is None and self.ended and k + low < n:  # as far as the record goes, and by what is decided
+        # At the end of a record, only what is known and decided counts.
+        if high is None and self.ended and k + low < n:
             beyond, used = False, (1 if kind == "always" else 0)
         else:
-            last = n - (0.0 if self.ended else 0.999)  # live, the next instant may be any after the last one
+            # In a live run the next instant can be any time after the last one.
+            last = n - (0.0 if self.ended else 0.999)
             beyond, used = high is None or k + high >= last, arrived
         window = range(math.ceil(k + low), n if high is None else min(n, math.floor(k + high) + 1))
         if kind == "until":
@@ -323,7 +325,7 @@ def test_during_a_run_the_first_instant_counts(text):
 @pytest.mark.long
 def test_random_formulas_are_measured_as_defined():
     verdicts = [hold(seed) for seed in range(DAILY)]
-    for each in (True, False, None):  # the draw reaches all three
+    for each in (True, False, None):  # the drawn formulas have all three verdicts
         assert verdicts.count(each) > DAILY / 20
 
 

@@ -51,7 +51,7 @@ def test_its_state_is_that_of_its_single_ticks(seed):
         for port in plain.inputs:
             if k % every[port.name] == 0 or chance.random() < 0.05:
                 stamp = max(0, t - chance.choice((0, 0, 300_000, 2_000_000)))
-                newest[port.name] = stamp if chance.random() < 0.95 else t + 1  # a sender that is ahead
+                newest[port.name] = stamp if chance.random() < 0.95 else t + 1  # a publisher that is ahead
                 values = tuple(chance.gauss(0.0, 1.0) for _ in range(port.size))
                 for step in (gathering, plain):
                     step.values[port.name] = Sample(stamp, values) if port.name in late else values
@@ -63,7 +63,7 @@ def test_its_state_is_that_of_its_single_ticks(seed):
         if chance.random() < 0.02 or k == 399:
             assert gathering.status() == plain.status()
             assert kept(gathering) == kept(plain)
-    assert 400 / stretch <= used < 200  # now and then, and by itself
+    assert 400 / stretch <= used < 200  # both have the same state at the end of each stretch, and rarely in between
 
 
 def test_ticks_within_a_hundredth_of_a_second_are_processed_at_the_last_one():
@@ -74,7 +74,8 @@ def test_ticks_within_a_hundredth_of_a_second_are_processed_at_the_last_one():
     gathering.block.at_once = lambda x, t, messages: used.append(t) or accept(x, t, messages)
     for k in range(65):
         gathering.answer(plain.schedule.time(k))
-    assert used == [plain.schedule.time(k) for k in (19, 39, 59)]  # of half a millisecond each
+    # Each tick lasts half a millisecond, so a stretch has twenty.
+    assert used == [plain.schedule.time(k) for k in (19, 39, 59)]
 
 
 @pytest.mark.parametrize(("period", "gathers"), [(0.0001, True), (0.006, False)])
@@ -102,8 +103,8 @@ class Breaking(DcMotorPlant):
     [
         ("dc_motor_smc_b2", 0.5, False),
         ("dc_motor_smc_b2", 0.5, True),
-        ("dc_motor_fsfb_s2", 0.3, False),  # outputs that are silent at times, and late
-        ("dc_motor_smc_faults", 0.5, False),  # outputs that may be bad
+        ("dc_motor_fsfb_s2", 0.3, False),  # its outputs are silent at times, or late
+        ("dc_motor_smc_faults", 0.5, False),  # its outputs can be invalid
     ],
 )
 def test_a_run_in_process_that_gathers_ends_as_one_that_does_not(name, duration, breaks, monkeypatch):

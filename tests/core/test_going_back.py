@@ -17,8 +17,8 @@ from softrig_core.run import session as module
 from softrig_core.run.inprocess import record, wired
 from softrig_core.wire.recording import Recording
 
-BEFORE, AFTER = 40, 50  # ticks
-# one for each way in which blocks remember: tuples, delay lines, solutions of delay equations, searches, packets
+BEFORE, AFTER = 40, 50  # ticks before and after the instant to which the run goes back
+# One rig for each kind of state: tuples, delay lines, solutions of delay equations, searches, packets.
 DAILY = ("dc_motor_smc_b2", "dc_motor_fsfb_s1", "induction_dtc", "lsrm_fuzzy_b5", "manipulator_adsmc_s3", "pv_mppt_pso",
          "pwa_delay_p3", "rectifier_mpc_certificate", "rehab_impedance_b9", "tcp_aqm_smc_delay", "tcp_aqm_smc_s4",
          "gupfc_s5")  # fmt: skip
@@ -60,7 +60,7 @@ def goes_back(name: str) -> None:
     session.step(before)
     other = session.branch()
     for run in (session, other):
-        with suppress(RunError):  # some scenarios are about a rig that breaks
+        with suppress(RunError):  # some scenarios end with an error on purpose
             run.step(AFTER)
     held_against(session, other)
 
@@ -97,10 +97,10 @@ def test_a_rewound_run_with_other_gains_equals_one_that_changes_them_at_that_tim
     session.go()
     scripted = rig_of("dc_motor_smc", duration=0.1).scenario.having(changes=[{"at": 0.04, "set": SOFTER}])
     assert session.recording.topics == simulate(scripted).recording.topics
-    session.rewind(0.06)  # what was set before stays
+    session.rewind(0.06)  # a change made before that instant stays
     session.go()
     assert session.recording.topics == simulate(scripted).recording.topics
-    session.rewind(0.04)  # what was set there is undone
+    session.rewind(0.04)  # a change made at that instant is undone
     session.go()
     assert session.recording.topics == plain.recording.topics != simulate(scripted).recording.topics
 
@@ -133,7 +133,7 @@ def test_a_branch_does_not_change_its_run():
 def test_few_states_of_many_ticks_are_stored_and_any_tick_is_reached(monkeypatch):
     monkeypatch.setattr(module, "KEPT", 4)
     session = short()
-    session.set({"dc_motor_smc.delta": 0.6})  # at a tick whose state has just been stored
+    session.set({"dc_motor_smc.delta": 0.6})  # at a tick whose state has just been saved
     session.go(0.02)
     session.set(SOFTER)
     session.go()
@@ -150,7 +150,8 @@ def test_few_states_of_many_ticks_are_stored_and_any_tick_is_reached(monkeypatch
 @pytest.mark.parametrize(
     "nodes",
     [
-        {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"},  # arrays, which are numbered
+        # Messages of arrays, which are numbered.
+        {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"},
         {"plant": "plant", "source": "source", "link": "link", "law": "late_gain"},
         {"plant": "plant", "source": "source", "gain": {"executable": "gain", "parameters": {"noise": 1.0}}},
     ],
@@ -186,7 +187,7 @@ def session_with(law):
 
 def test_a_state_that_cannot_be_stored_is_named_with_the_reason():
     session = session_with(Locked())
-    session.go(0.5)  # it runs in spite of that
+    session.go(0.5)  # the run itself needs no saved state
     text = r"^this run cannot go back: law: its state at t = 0 s cannot be kept: RuntimeError: the lock is taken"
     with pytest.raises(RunError, match=text):
         session.rewind(0.1)
@@ -329,7 +330,8 @@ def test_tables_restore_everything_that_a_step_holds_however_often(seed: int) ->
             assert everything(steps) == known[k]
         ticks = loop.run(k)
         for _ in range(int(draw.integers(1, 6))):
-            steps["law"].unanswered, steps["law"].begun = k % 3, k  # as the wall clock and a solver's link write them
+            # Fields that the wall clock and the link of a solver set.
+            steps["law"].unanswered, steps["law"].begun = k % 3, k
             next(ticks)
             k += 1
     assert steps["law"].counts["row"] == 1 + (k - 1) // 3

@@ -48,7 +48,7 @@ def test_delay_that_grows_with_time():
     """Neves: x'(s) = x(s) x(ln s) / s, x = 1 up to s = 1: x = s up to e, exp((1 + ln^2 s)/2) up to e^e."""
 
     def solve(n):
-        h = (math.e - 1.0) / n  # a border where the kink of s = 1 comes back
+        h = (math.e - 1.0) / n  # e lies on a border of the steps, because the kink of s = 1 recurs there
         past, x = trajectory(h, 8.0, 1.0), np.array([1.0])
         integrator(neves)(past, 0.0, x, h, n, 0.0)
         assert x[0] == pytest.approx(math.e, abs=1e-9)
@@ -166,7 +166,7 @@ def mackey_glass(t, x, past, p, dx):
 def test_the_solution_agrees_with_an_independent_integrator(tmp_path, monkeypatch):
     import jitcdde
 
-    monkeypatch.chdir(tmp_path)  # its build would take our checkout for its own
+    monkeypatch.chdir(tmp_path)  # a build there would find this checkout
 
     past, x = trajectory(0.05, 17.0, 0.5), np.array([0.5])
     integrator(mackey_glass)(past, 0.0, x, 0.05, 4000, 0.0)

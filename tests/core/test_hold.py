@@ -28,7 +28,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     run, start = SimulatedRig(RIG, world, "lockstep", pace=1.0), world.now
     adapter = run.adapters[CLOCK]
     hold = adapter.hold
-    assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # only the node of the clock accepts this
+    assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # only the node of the clock has a pace
     assert adapter.account.status()["pace"] == 1.0
     for moment, call in (
         (0.22, partial(hold.go_at, 0.1)),
@@ -64,7 +64,7 @@ def test_at_a_pace_of_zero_nothing_runs_however_often_it_is_asked():
 @pytest.mark.parametrize(
     ("hands", "ticks"),
     [
-        (lambda hold, k: hold.go_at(PERIOD * (1 + k % 2)), 15),  # as a dragged slider, ten changes a second
+        (lambda hold, k: hold.go_at(PERIOD * (1 + k % 2)), 15),  # a dragged slider sends ten changes a second
         (lambda hold, k: hold.ask(("resume", "pause")[k % 2]), 5),
         (lambda hold, k: hold.ask(("pause", "pause", "resume", "resume")[k % 4]), 6),
         (lambda hold, k: hold.ask(("pause", "resume")[k % 4 // 3]) and hold.go_at(PERIOD * (1 + k % 2)), 4),
@@ -123,7 +123,8 @@ def test_in_real_time_the_clock_of_a_paused_rig_stops_and_nothing_is_late(groups
     assert set(run.run(90.0).values()) == {"done"}
     period = float(RIG.clock.schedule.period)
     assert [max(t) for t in seen[:4]] == pytest.approx([0.0, period, period, 3 * period])
-    assert all(max(t) - min(t) <= 2 * period for t in seen), seen  # also of nodes that are due at every second tick
+    # Counts nodes that are due at every second tick as well.
+    assert all(max(t) - min(t) <= 2 * period for t in seen), seen
     assert max(seen[4]) - max(seen[3]) == pytest.approx(0.2 - 0.05, abs=2 * period)
     assert max(seen[5]) - max(seen[4]) == pytest.approx(0.05, abs=2 * period)
     assert world.now - start == pytest.approx(60.0e9 + (0.6 - max(seen[5])) * 1e9, abs=0.2e9)
@@ -133,7 +134,7 @@ def test_in_real_time_the_clock_of_a_paused_rig_stops_and_nothing_is_late(groups
     expected, signals = Signals(in_process(RIG)), Signals(run.recording, run.adapters[CLOCK].epoch)
     for name in (f"{p.topic}/{label}" for m in RIG.members for p in m.outputs for label in p.labels):
         x = expected[name].x.tolist()
-        assert signals[name].x.tolist()[: len(x)] == x, name  # in real time sources also publish at the end
+        assert signals[name].x.tolist()[: len(x)] == x, name  # in real time, sources publish at the end as well
 
 
 def test_in_real_time_a_rig_with_hardware_cannot_pause_and_has_no_pace():
@@ -170,7 +171,8 @@ class Wall:
 def test_a_quarter_of_a_second_is_caught_up_and_more_is_dropped(late, forgotten):
     wall, hold = Wall(), Hold(pace=2.0)
     hold.begin(wall, lambda: None)
-    assert hold.holds(0)  # from here on the pace counts
+    assert hold.holds(0)  # the pace counts from here on
     wall.now = 0.5 + late
-    assert not hold.holds(1_000_000_000)  # due at 0.5 s
-    assert hold.holds(1_400_000_000) == forgotten  # due at 0.7 s: missed ticks are made up immediately, or forgotten
+    assert not hold.holds(1_000_000_000)  # the tick is due at 0.5 s
+    # The tick was due at 0.7 s; missed ticks are made up at once, or skipped.
+    assert hold.holds(1_400_000_000) == forgotten

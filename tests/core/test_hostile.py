@@ -65,7 +65,8 @@ def test_every_number_of_every_executable_has_bounds():
             if d.type in (int, float):
                 assert d.lower is not None, (package, name, d)
                 assert d.upper is not None, (package, name, d)
-                count = d.type is int and not isinstance(d.default, tuple)  # sets an effort or a size
+                # A count sets an effort or a size, so it needs a smaller bound.
+                count = d.type is int and not isinstance(d.default, tuple)
                 assert abs(d.upper) <= (2**31 if count else 1e12), (package, name, d)
     assert all(d.upper is not None for d in declarations(RunOptions) if d.type in (int, float))
 
@@ -121,7 +122,7 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
         assert floats == set(re.findall(r"parameter ([^ ;]+) = nan: ", text)), (model, out)
         tried += len(names)
     assert tried > 300
-    assert RunOptions().duration == 0.0  # by hand a node runs until it is stopped
+    assert RunOptions().duration == 0.0  # a node started by hand runs until it is stopped
     for values in ({"seed": 2**63 - 1}, {"seed": 126}, {"duration": 1e9, "timeout": 1e6}):
         assert build(RunOptions, values).model_dump().items() >= values.items()
 
@@ -162,7 +163,8 @@ def test_true_is_not_a_number_for_any_parameter_of_any_executable():
         wanted = {name: [1, True] if name in lists else True for name, _ in numbers(model)}
         text = refusal(model, wanted)
         for name, value in wanted.items():
-            other = rf"parameter {re.escape(name)}(?: = {re.escape(str(value))}: |\.\d)"  # of a range or a size
+            # The message names the range or the size.
+            other = rf"parameter {re.escape(name)}(?: = {re.escape(str(value))}: |\.\d)"
             assert re.search(other, text), (model, name)
         ones = {name: [1] if name in lists else 1 for name in wanted}
         assert "not true or false" not in refusal(model, ones)
@@ -374,7 +376,7 @@ def test_damage_is_refused_or_does_not_matter(attack, tmp_path):
 @pytest.mark.parametrize(
     ("areas", "number"),
     [
-        (("parameters", "scenarios"), 1),  # may ask for all memory: in processes of their own
+        (("parameters", "scenarios"), 1),  # these cases may request all memory, so they run in processes of their own
         (("bags", "messages", "parameters", "scenarios"), 12),
     ],
 )

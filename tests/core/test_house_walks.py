@@ -11,7 +11,7 @@ from softrig_core.block.loop import Loop
 from softrig_core.native.rig_text import rig_text
 from softrig_core.run.inprocess import wired
 
-# how each function of the walk names the one below it
+# Each function of the walk calls the next one under this name.
 NAMES = ("receive", "accept", "_arrived", "turn", "ticks", "_answer", "answer", "answer", "asked", "respond", "ask",
          "update")  # fmt: skip
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"

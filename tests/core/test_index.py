@@ -45,7 +45,7 @@ def test_the_index_equals_what_loading_gives_until_a_file_changes(folder, tmp_pa
     assert loads(monkeypatch) == ([one, slow], True, [])
     assert loads(monkeypatch) == ([one, slow], False, [])
     (folder / "one.yaml").write_text(FILE.format(title="Two", duration=1.5))
-    os.utime(folder / "one.yaml", ns=(1, 1))  # an older file in its place
+    os.utime(folder / "one.yaml", ns=(1, 1))  # an older file replaces it
     rows, loaded, _ = loads(monkeypatch)
     assert (rows[0][3], loaded) == ("Two", True)
     (folder / "other.yaml").write_text("extends: one\n")

@@ -88,16 +88,16 @@ def cached(folder):
 def test_bits_of_a_branching_delay_loop_are_those_of_plain_python(folder):
     plain = relay(folder, SOFTRIG_JIT="0")
     assert not (folder / "cache").exists()
-    with ThreadPoolExecutor(2) as pool:  # two processes that compile at the same time
+    with ThreadPoolExecutor(2) as pool:
         native = list(pool.map(lambda _: relay(folder).tobytes(), range(2)))
     assert np.ptp(plain) > 1.0
     assert native == [plain.tobytes()] * 2
-    # the second process takes the code from the cache: nothing new in it
+    # The second process loads the code from the cache and adds nothing.
     files = {f: f.stat().st_mtime_ns for f in cached(folder)}
     assert [f.name.split("-")[0] for f in files] == ["relay", "run", "wobble"]
     assert relay(folder).tobytes() == plain.tobytes()
     assert {f: f.stat().st_mtime_ns for f in cached(folder)} == files
-    # a constant of a function called in another file: numba's own cache would keep the old code; and a damaged file
+    # Change a constant in another file, which numba's own cache would miss; and damage a cached file.
     file = next(f for f in files if f.name.startswith("wobble-"))
     file.write_bytes(file.read_bytes()[:100])
     (folder / "helper.py").write_text(HELPER.replace("1.25", "1.26"))
@@ -212,7 +212,7 @@ SCALE = "@jit\ndef f(x):\n    return x * {}\n"
 LARGE = "D = np.zeros(5000)\nD[2000] = {}\n"
 
 
-# `slope` has to be too large to be inlined: its symbol is then looked up where the code is loaded.
+# `slope` is too large to be inlined, so its symbol is looked up when the code is loaded.
 FACTORY = """
 import sys
 import numpy as np
@@ -332,13 +332,13 @@ def along(line, at, weights):
 def test_tuples_are_passed_by_their_parts_and_further_ones_unchanged():
     table = np.array([0.0, 3.0])
     calls = [
-        (Line(2.0, table), 5.0, (10.0, (1.0, 2.0))),  # the most likely types of later calls
-        (Other(table, 2.0), 5.0, (10.0, (1.0, 2.0))),  # the same fields in another order
+        (Line(2.0, table), 5.0, (10.0, (1.0, 2.0))),  # types for which the function is compiled in advance
+        (Other(table, 2.0), 5.0, (10.0, (1.0, 2.0))),  # another tuple with the same fields in another order
         (Line(2.0, table), 5.0, (10.0, (1.0,))),
     ]
     for k, call in enumerate(calls, 1):
         assert along(*call) == 40.0, call
-        assert table[0] == k  # the array itself, no copy
+        assert table[0] == k  # the function got the array itself, not a copy
     assert along.py_func(*calls[0]) == 40.0
 
 
@@ -411,9 +411,9 @@ def test_a_rehearsal_compiles_native_code_and_changes_nothing_else():
     assert rehearse(_Native, BlockParams(), "a")
     assert _twice._run != _twice._first
     assert _Native.ticks == [0]
-    assert rehearse(_Broken, BlockParams(), "a")  # its failure is reported in the run
+    assert rehearse(_Broken, BlockParams(), "a")  # the error is reported in the run itself
     assert not rehearse(Gain, Gain.Params(), "a")
-    assert rehearse(_Later, BlockParams(), "a")  # not reached by a first tick
+    assert rehearse(_Later, BlockParams(), "a")  # the first tick does not reach this branch
     assert _later._run != _later._first
 
 
@@ -428,7 +428,7 @@ def borrowed(line, at, out):
 @jit
 def copied(line, out):
     out[0, 1:] = line[:2]
-    out[0, :2] = out[0, 1:]  # which numba writes through a copy, made and given back
+    out[0, :2] = out[0, 1:]  # both sides overlap, so numba writes through a temporary copy
     return out[0, 0]
 
 
@@ -439,7 +439,7 @@ def handed_back(line):
 
 def test_a_function_that_only_reads_its_arrays_counts_no_references():
     line, out, counts = np.arange(5.0), np.empty((1, 3)), []
-    for _ in range(9):  # compiled at the first, by what keeps its arguments for a while
+    for _ in range(9):  # the first call compiles, and the compiler keeps its arguments for a while
         assert borrowed((line, 2.0), 1, out[0]) == 2.0
         assert copied(line, out) == 0.0
         whole, part = handed_back(line)
@@ -449,7 +449,7 @@ def test_a_function_that_only_reads_its_arrays_counts_no_references():
     assert (whole.tolist(), part.tolist()) == (line.tolist(), line[1:].tolist())
     from softrig_core.kit._borrowed import Borrowing
 
-    # compiled again, because the cache stores no LLVM text
+    # Compiled again, because the cache does not contain LLVM code.
     made = module.our_numba().njit(pipeline_class=Borrowing)(borrowed.py_func)
     made((line, 2.0), 1, out[0])
     assert not any("NRT_incref" in text for text in made.inspect_llvm().values())

@@ -32,7 +32,7 @@ def test_a_draft_with_changed_values_equals_the_scenario_checked_as_a_whole(valu
         else:
             result = quick.faults[node].value if parameter else quick.shared[key]
             assert result == value
-    assert draft.filled() is draft.filled()  # changes do not affect the draft
+    assert draft.filled() is draft.filled()  # a change does not affect the draft that it was made from
     assert draft.filled().model_dump() == read_draft(draft.name).filled().model_dump()
 
 
@@ -113,7 +113,7 @@ def test_the_first_state_is_made_once_with_the_seed_and_reported_once():
     by_hand.reset(3)
     assert (running.x, running.reports["odd"]) == (by_hand.first(), (Level.WARN, "gain 1", 1))
     assert RunningBlock(Odd.seeded(Params(), "odd", 4)).x != running.x
-    again = RunningBlock(block)  # of a block that has begun it is made anew
+    again = RunningBlock(block)  # a block that has run is created again
     assert (again.x, again.reports["odd"][2]) == (running.x, 1)
     changed = Odd.seeded(Params(), "odd", 3)
     changed.change(Params(gain=2.0))

@@ -48,7 +48,7 @@ def test_a_delay_line_is_a_list_of_samples(seed, native, monkeypatch):
     first = History(step, longest, past)
     kept = [(first.native() if native else first, [past] * size)]
     for _ in range(25):
-        line, rows = kept[-1] if native else rng.choice(kept[-4:])  # native code has only the newest state
+        line, rows = kept[-1] if native else rng.choice(kept[-4:])  # native code keeps only the newest state
         if rng.random() < 0.2:
             line, rows = line.again(), [*rows, rows[-1]]
         else:
@@ -161,7 +161,7 @@ def test_a_track_is_a_list_of_steps(seed, monkeypatch):
             borders = [r[0] for r in held] + [held[-1][0] + held[-1][1]]
             for late in (0, 1):
                 past.meta[1] = late
-                # delays are read within the kept steps
+                # Delays are read only within the steps that are kept.
                 inside = [rng.uniform(borders[0] + 1e-6, borders[-1] + 0.2) for _ in range(4)]
                 for t in (*borders[late:], *inside):
                     wanted = read_at(held, t, late)
@@ -249,7 +249,7 @@ def test_the_newest_answers_are_cached():
     for k in (1, 1, 2, 3, 4, 1, 5, 1, 3, 2):
         assert newest(k)[0] == k
         assert (newest.key, newest.answer) == (k, newest(k))
-    assert asked == [1, 2, 3, 4, 5, 2]  # four answers are kept; 2 was the least recently used
+    assert asked == [1, 2, 3, 4, 5, 2]  # the cache holds four answers, and 2 was the least recently used
     assert Newest(lambda k: asked.append(k), 1)(9) is None
 
 
@@ -350,7 +350,7 @@ def test_products_and_solutions_are_those_of_exact_fractions(seed):
     assert product(a[0], b).tolist() == exact[0]
     assert product(a, [row[0] for row in b]).tolist() == [row[0] for row in exact]
     square = [[rng.randint(-9, 9) + (40 if i == j else 0) for j in range(n)] for i in range(n)]
-    rng.shuffle(square)  # the solver must exchange rows
+    rng.shuffle(square)  # the solver has to exchange rows
     x = [[float(rng.randint(-9, 9)) for _ in range(k)] for _ in range(n)]
     right = product(square, x)
     assert np.allclose(solve(square, right), x, rtol=0, atol=1e-12)
@@ -451,7 +451,7 @@ def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
         passed = rng.choice([0.0, 0.01, 0.05, 0.125, 0.5])
         now += passed
         if advanced is not None and not stopped:
-            advanced += passed * rate  # s that the run may have advanced by now
+            advanced += passed * rate  # s by which the run may have advanced
         if what == "change":
             pace.change(new := rng.choice([0.5, 1.0, 2.0]), now)
             rate = new

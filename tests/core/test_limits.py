@@ -12,7 +12,7 @@ import pytest
 MS, SECOND = 1_000_000, 1_000_000_000
 
 LIMITS = {
-    # how often nodes look, ns
+    # intervals at which nodes check something, ns
     "softrig_nodes.adapter.account": {"WATCH_PERIOD": 250 * MS, "CHECK_EVERY": 4},
     "softrig_nodes.adapter.handshake": {"CHECK": 20 * MS, "SETTLED": 25},
     "softrig_nodes.adapter.departure": {"LEAD": 500 * MS, "CLOCKS": 500 * MS, "REPEAT": 5},
@@ -21,7 +21,7 @@ LIMITS = {
     "softrig_nodes.ros.ros": {"LOOK": 20 * MS, "SEARCH": 250 * MS, "PATIENCE": 2.0, "LAST": 10.0},
     "softrig_nodes.ros.requests.Credit": {"SHARE": 0.2, "MOST": 2.0},
     "softrig_nodes.ros.requests": {"MOST": 100, "IDLE": 20 * MS, "BUSY": 2 * MS, "PATIENCE": 2.0, "UNKNOWN": 2.0},
-    # a run in lockstep: ticks, messages, s without progress
+    # a run in lockstep: ticks, messages, and s without progress
     "softrig_nodes.lockstep.comeback": {"SAID": 2},
     "softrig_nodes.lockstep.lockstep": {"FEW": 2, "REPORT_AFTER": 250},
     "softrig_nodes.lockstep.lockstep.Lockstep": {"status_every": 1},
@@ -31,28 +31,28 @@ LIMITS = {
     "softrig_nodes.seam.hold": {"LOOK": 10 * MS},
     "softrig_nodes.seam.solving": {"LOOK": 2 * MS, "REPORT_EVERY": 0.5},
     "softrig_core.run.session": {"KEPT": 256},
-    # a run in real time, ns but for AGAIN
+    # a run in real time, in ns, except AGAIN
     "softrig_nodes.realtime.beat": {"BEHIND": 50 * MS},
     "softrig_core.block.gathering": {"STRETCH": 10 * MS},
     "softrig_nodes.realtime.live": {"KEPT": 64, "GONE": SECOND},
     "softrig_nodes.realtime.realtime": {"AGAIN": 10.0, "SOON": MS, "CATCH_UP": SECOND, "END_GRACE": SECOND},
     "softrig_nodes.realtime.realtime.Realtime": {"status_every": 4},
     "softrig_nodes.realtime.stand": {"LEAD": 50 * MS, "NEVER": 2**63 - 1},
-    # nodes of one process, ns but for GRACE; calls and messages
+    # nodes of one process, in ns, except GRACE and the counts of calls and messages
     "softrig_nodes.container": {"LOOK": 100 * MS, "SPIN": 300_000, "GRACE": 1.0},
     "softrig_nodes.lockstep.turns": {"SLICE": 5 * MS},
     "softrig_nodes.seam.exchange": {"BATCH": 16, "BURST": 8, "SLACK": 150_000, "SLICE": 5 * MS},
     "softrig_nodes.seam.monitor": {"LONG": 5 * MS, "SHORT_ONES": 20},
     "softrig_nodes.ros.garbage": {"CLEAN": 100, "UNCLEAN": 10},
     "softrig_nodes.ros.processor": {"SHORT": 200_000, "ENOUGH": 100, "LONG": 200 * MS},
-    # the end of a process, and who asks from outside, s
+    # s until a process has ended, and until a request from outside fails
     "softrig_nodes.below.leave": {"PATIENCE": 2},
     "softrig_nodes.ros.remote": {"PATIENCE": 10.0},
     "softrig_nodes.processes.supervision": {"GRACE": 1.5},
     "softrig_nodes.processes.children": {
         "STOP_STEPS": ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0)),
     },
-    # domains and ports of DDS: numbers, and s
+    # numbers of domains and DDS ports, and s
     "softrig_nodes.processes.domain": {
         "DOMAINS": range(1, 101),
         "BEYOND": (*range(215, 232), *range(101, 215)),
@@ -81,13 +81,13 @@ LIMITS = {
     },
     "softrig_nodes.processes.shared_memory.Ears": {"PATIENCE": 10.0},
     "softrig_nodes.processes.fork_server": {"LARGEST": 100_000, "ROOM": 8_000},
-    # what the system and ROS define: <sys/prctl.h>, <net/if.h>, <fcntl.h>, rcl/types.h, rcl_interfaces
+    # constants of <sys/prctl.h>, <net/if.h>, <fcntl.h>, rcl/types.h and rcl_interfaces
     "softrig_nodes.processes.fork_server ": {"PR_SET_PDEATHSIG": 1, "PR_SET_NAME": 15},
     "softrig_nodes.processes.domain ": {"SIOCGIFFLAGS": 0x8913, "IFF_UP": 1},
     "softrig_nodes.seam.health": {"AT_FDCWD": -100, "RENAME_EXCHANGE": 2},
     "softrig_nodes.below.arrival": {"TAKE_FAILED": 401, "SIZE": 4096},
     "softrig_nodes.below.tf_message": {"MESSAGE": 18, "MESSAGES": 145},
-    # records and messages: digits, names, messages, bytes
+    # numbers of digits, names, messages and bytes in records
     "softrig_core.wire.cdr": {"DIGITS": 12, "SINGLY": 32},
     "softrig_core.wire.recording": {"CHUNK": 4096},
     "softrig_core.wire.recording.ShardWriter": {"LIMIT": 4096},

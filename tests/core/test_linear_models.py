@@ -57,7 +57,7 @@ def linear(x, u):
 @pytest.mark.parametrize(
     ("conditions", "x", "u"),
     [
-        ({}, [1.0 + 2.0 * 0.0, 0.0, -0.5 - 4.0], [1.0, 2.0]),  # by hand: x1 = 0, x0 = u0, x2 = -x0/2 - 2 u1
+        ({}, [1.0 + 2.0 * 0.0, 0.0, -0.5 - 4.0], [1.0, 2.0]),  # solved by hand: x1 = 0, x0 = u0, x2 = -x0/2 - 2 u1
         ({"held": [0], "free": [0]}, [3.0, 0.0, -1.5 - 4.0], [3.0, 2.0]),
         ({"held": [2], "free": [1]}, [1.0, 0.0, 5.0], [1.0, -2.75]),
         ({"moving": [2]}, [(2.0 * 4.0 + 8.0 + 1.0 * 3.0) / 2.0, (0.5 + 4.0 + 5.0) / 2.0, 5.0], [1.0, 2.0]),
@@ -111,7 +111,7 @@ def test_a_step_is_halved_until_it_comes_nearer():
     model, asked = one(math.atan)
     (x,), _ = equilibrium(model, [3.0], [])
     assert x == pytest.approx(0.0, abs=3e-9)
-    move = math.atan(3.0) * 10.0  # divided by the slope 1/(1 + x^2)
+    move = math.atan(3.0) * 10.0  # Newton's step: the value divided by the slope 1/(1 + x^2)
     assert asked[6:9] == pytest.approx([3.0 - move, 3.0 - move / 2.0, 3.0 - move / 4.0], rel=1e-6)
     hole, asked = one(lambda x: x - 1.0 if x < 1.5 or x > 3.9 else math.nan if x < 3.0 else 2.0 * x)
     assert equilibrium(hole, [4.0], [])[0] == pytest.approx([1.0])
@@ -122,7 +122,7 @@ def test_a_model_without_equilibrium_is_reported_with_the_remaining_distance():
         RunError, match=r"^no equilibrium found near x = \[3\.0\], u = \[\]: the largest derivative left is 1$"
     ):
         equilibrium(one(lambda x: 1.0 + x * x)[0], [3.0], [])
-    with pytest.raises(RunError, match=r"the largest derivative left is 2$"):  # no slope at all
+    with pytest.raises(RunError, match=r"the largest derivative left is 2$"):  # the slope is zero everywhere
         equilibrium(one(lambda x: 2.0)[0], [3.0], [])
 
 

@@ -37,7 +37,7 @@ from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 
 PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_core" / "doc" / "linear_view.md"
-T = 0.01  # s, of the motor's loops here
+T = 0.01  # period of the motor loops in this file, s
 
 
 def sampled_motor():
@@ -71,7 +71,7 @@ def pid_loop(**pid):
     return control.ss(P * control.ss(C))
 
 
-LARGE = {name: 60.0 * getattr(DcMotorPid().p, name) for name in ("kp", "ki", "kd")}  # beyond the gain margin of 53.7
+LARGE = {name: 60.0 * getattr(DcMotorPid().p, name) for name in ("kp", "ki", "kd")}  # the gain margin is 53.7
 
 
 def slow(poles):
@@ -93,7 +93,7 @@ def test_the_loop_of_the_motor_under_pid_is_the_analytic_one(kp):
     if kp is None:
         assert m.delay == pytest.approx(np.radians(phase) / crossing, rel=1e-6)
         assert m.disk == pytest.approx(control.disk_margins(L, view.omega, 0.0)[0], rel=1e-6)
-    else:  # at the lower margin the loop is still stable
+    else:  # at the lower gain margin the loop is still stable
         assert abs(control.feedback(pid_loop(**gains) * m.gain_down * 0.999).poles()).max() < 1.0
     w = np.array([1.0, 5.0, 20.0])
     assert np.abs(view.opened(np.exp(1j * w * T)).ravel() / view.at_frequencies(w) - 1.0).max() < 1e-9
@@ -104,7 +104,7 @@ def test_states_are_named_and_the_whole_system_is_that_of_the_motor(capsys):
     view = linear_view(motor_under_pid(), at=0.5)
     assert {"dc_motor_plant.w", "dc_motor_plant.i", "dc_motor_pid.pid.integral"} <= set(view.states)
     at = [view.states.index(f"dc_motor_plant.{x}") for x in ("w", "i")]
-    # the opened loop contains only the plant
+    # The opened loop has only the plant.
     assert view.a[np.ix_(at, at)] == pytest.approx(sampled_motor().A, rel=1e-9)
     assert view.b[at] == pytest.approx(sampled_motor().B[:, 0], rel=1e-9)
     assert view.closed.state_labels == list(view.states)
@@ -168,7 +168,7 @@ def test_an_unstable_opened_loop_and_a_delay_are_exact_to_rounding():
     assert slow(view.loop_poles) == pytest.approx(slow(control.feedback(L).poles()), rel=1e-9)
     line = [n for n in view.states if ".line[" in n]
     at = [view.states.index(n) for n in line]
-    assert view.a[np.ix_(at, at)].tolist() == np.eye(3, k=1).tolist()  # the shift register copies its values unchanged
+    assert view.a[np.ix_(at, at)].tolist() == np.eye(3, k=1).tolist()  # The shift register only moves its values.
 
 
 def off_at(view, L):
@@ -196,7 +196,7 @@ def test_the_loop_of_the_motor_under_softened_sliding_mode_is_the_analytic_one()
     w, i = view.values["dc_motor_plant.w"], view.values["dc_motor_plant.i"]
     c = DcMotorSmc(period=T).p
     s = c.c * (1.0 - w) - (c.wd_i * i - c.wd_w * w)
-    slope = c.k_per_ref * 5.0 / (abs(s) + 5.0) ** 2  # slope of K s/(|s| + delta)
+    slope = c.k_per_ref * 5.0 / (abs(s) + 5.0) ** 2  # the slope of K s/(|s| + delta)
     of_w, of_wd = (c.model_a0 - slope * c.c) / c.model_gain, (c.model_a1 - c.c - slope) / c.model_gain
     motor = sampled_motor()
     gains = np.array([[of_w - of_wd * c.wd_w, of_wd * c.wd_i]])
@@ -250,7 +250,7 @@ def test_changing_integers_are_refused_if_outputs_depend_on_them(used):
 
     Fine.used = used
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Fine(), "law": Gain()}, duration=5.0)
-    if not used:  # only counters change
+    if not used:  # then only counters change
         assert linear_view(rig, "law/u", at=0.5).states == ("plant",)
         return
     for view in (partial(linear_view, rig, "law/u"), partial(linear_view, rig, ""), partial(steady, rig)):
@@ -301,8 +301,9 @@ def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
         view = linear_view(name, overrides=fine | {"fieldbus_delay.delay": delay}, at=8.0)
         left.append(view.margins.delay + delay)
     assert left[0] == pytest.approx(left[1], rel=1e-6)
-    assert sum("fieldbus_delay.line" in name for name in view.states) == 12  # two values of six messages
-    late = linear_view(name, overrides=fine | {"fieldbus_delay.delay": 0.09}, at=1.0)  # it oscillates already
+    assert sum("fieldbus_delay.line" in name for name in view.states) == 12  # two values in each of six messages
+    # Beyond the delay margin the loop oscillates.
+    late = linear_view(name, overrides=fine | {"fieldbus_delay.delay": 0.09}, at=1.0)
     assert not late.stable
     assert max(abs(late.loop_poles)) > 1.001
     periods = int(left[0] / 0.01)
@@ -338,16 +339,15 @@ def test_the_delay_margin_of_the_rectifier_is_the_true_one():
 def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     """Only near: the force ripples along the track, so the loop changes with the position."""
     view = linear_view("lsrm_fuzzy_pi_fast", "force_cmd/translator", at=1.0, overrides={"current_period": 1e-4})
-    # the period of the speed controller; plant and current controller have shorter periods
+    # The period is that of the speed controller; plant and current controller run faster.
     assert view.period == pytest.approx(1e-3)
-    P = control.sample_system(control.tf([1], [5.0, 10.0 + 14.0]), 1e-3, "zoh")  # M, C + k_p
+    P = control.sample_system(control.tf([1], [5.0, 10.0 + 14.0]), 1e-3, "zoh")  # inertia M, damping C + k_p
     C = 80.0 * (1.3 + 3.2 * 1e-3 / (control.tf([1, 0], [1], 1e-3) - 1))
     rigid = control.frd((P * C)(np.exp(1j * view.omega * 1e-3)), view.omega, smooth=True)
     _, phase, _, crossing = control.margin(rigid)
     assert view.margins.crossover == pytest.approx(crossing, rel=0.02)
     assert np.degrees(view.margins.phase) == pytest.approx(phase, abs=1.0)
-    # The flux of phase b is a state of the rig but not of the loop: phase b carries no current, so its flux can only
-    # move one way.
+    # psi_b is a state of the rig but not of the loop: phase b carries no current, so its flux can only rise.
     assert "lsrm_plant.psi_b" in view.states
     assert "lsrm_plant.psi_b" not in view.opened.state_labels
     assert 1e-3 < view.state_error < 0.1
@@ -486,7 +486,8 @@ def test_a_loop_with_a_short_delay_has_a_view():
 
 @pytest.mark.long
 def test_a_state_may_have_the_name_of_an_input_and_one_that_only_a_warning_reads_does_not_count():
-    view = linear_view("induction_dtc", at=0.05)  # its speed law's state and input are both `reference`
+    # Both the state and an input of the speed controller are named `reference`.
+    view = linear_view("induction_dtc", at=0.05)
     assert "im_plant.omega" in view.states
     swinging = Swinging(400.0, 401.0, 399.0, swings=(2.0, 2.0))
     assert [name for name, _ in read((1.0, swinging, (2.0,)))] == ["[0]", "[2]"]
@@ -507,7 +508,7 @@ def test_a_state_that_cannot_be_restored_is_reported_by_name():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
     with pytest.raises(
         RunError, match=r"^rig: law, plant cannot be put back to where it was at 0\.5 s: "
-    ):  # the message names the nodes that depend on it
+    ):  # the message names the nodes that use the state
         linear_view(rig, "law/u", at=0.5)
 
 
@@ -574,7 +575,7 @@ def test_the_verbs_print_the_view(tmp_path, capsys, undrawn):
     out = capsys.readouterr().out
     assert re.search(r"shaft/velocity\t0.99996\d* rad/s", out)
     assert re.search(r"dc_motor_plant.theta\t.*drifts by 0.99996\d* a second", out)
-    # the motor chatters, so there is no operating point
+    # The motor chatters, so there is no operating point.
     assert main(["steady", "dc_motor_smc", "--set", "period=0.01", "--at", "2"]) == 1
     assert "no operating point near t = 2 s" in capsys.readouterr().err
 

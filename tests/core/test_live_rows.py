@@ -25,7 +25,7 @@ from softrig_nodes.seam.hold import Hold
 from softrig_nodes.seam.tick import TickWriter
 
 MS, SECOND = 1_000_000, 1_000_000_000
-START = 1_700_000_000 * SECOND  # start of the runs: every period of this file has a tick at this time
+START = 1_700_000_000 * SECOND  # The runs start at a time at which every period of this file has a tick.
 
 
 class Node:
@@ -133,7 +133,7 @@ def expected(messages, links, period, patience):
     """
     law = Schedule(period)
     senders = {name: Schedule(k.period) for name, k in links.items()}
-    arrived = {name: [] for name in links}  # stamp and value, by their stamps
+    arrived = {name: [] for name in links}  # stamp and value in the order of the stamps
     expect = dict.fromkeys(links, True)
     begun, newest_begun, limit, answers = [], -1, math.inf, []
     last = None
@@ -279,7 +279,7 @@ def test_ticks_older_than_the_window_are_dropped():
     other = three(stamp_window=100.0)
     for k in range(70):
         other.hear("a", START + k * 10 * MS, 1.0, at=START + k * 10 * MS)
-    assert other.drive.counts()["dropped_ticks"] == 6  # a row keeps 64 messages
+    assert other.drive.counts()["dropped_ticks"] == 6  # a row keeps at most 64 messages
 
 
 def test_a_rejected_message_counts_for_its_tick_and_the_block_decides_the_answer():
@@ -295,7 +295,7 @@ def test_a_rejected_message_counts_for_its_tick_and_the_block_decides_the_answer
     node.hear("b", START - 900 * SECOND, 3.0)
     assert [node.rows[n].refused for n in "abc"] == [1, 2, 0]
     assert node.rows["b"].last_refusal == "stamp is -900 s from now, expected at most 1 s"
-    assert len(SEEN) == 3  # the tick of these messages is unknown
+    assert len(SEEN) == 3  # these messages belong to no tick, so they start none
     node.hear("b", 0, 0.0, data=b"\0\1\0\0")
     node.hear("a", START + 30 * MS, 3.0, at=START + 31 * MS)
     node.hear("b", START + 30 * MS, 3.0)
@@ -424,7 +424,7 @@ def test_timer_ticks_follow_the_grid_and_missed_ones_are_counted_and_skipped_aft
     states = lambda: len(node.said("lag/state"))  # noqa: E731
     timer_at(node, timer, 0, 3 * MS)
     assert (timer.now, states(), node.adapter.ticks) == ((7 * MS, 10 * MS), 1, 1)
-    timer_at(node, timer, 0, 4 * MS)  # the same tick
+    timer_at(node, timer, 0, 4 * MS)  # a second call at the same tick
     assert (timer.now, states()) == ((6 * MS, 10 * MS), 1)
     timer_at(node, timer, 1)
     assert (timer.now, states()) == ((10 * MS, 10 * MS), 2)
@@ -460,7 +460,7 @@ def test_a_tick_that_begins_when_the_next_is_due_is_late_and_a_round_trip_lasts_
     assert node.drive.statistics()["late_ticks"] == 1
     node.hand.time = START + 41 * MS
     node.drive.tick(4, 40 * MS, START + 41 * MS)
-    # the test's clock still showed 10 ms when this tick was published
+    # The test's clock still showed 10 ms when this tick was published.
     node.hear("command", START + 30 * MS, 1.0, at=START + 43 * MS)
     node.hear("command", START + 35 * MS, 1.0)  # this stamp belongs to no tick of the node
     node.hear("command", START + 40 * MS, 1.0, at=START + 44 * MS)
@@ -624,9 +624,9 @@ def test_a_second_writer_is_accepted_after_it_alone_has_published_without_a_gap(
     """Each message: number, time, whether a writer is accepted after it; a gap counts from 10 on."""
     for text in (
         [(5, 0, False), (6, 10, False), (7, 11, True), (8, 12, True)],
-        # number 6 is lost, so another publisher may exist
+        # Number 6 was lost, so another publisher may exist.
         [(5, 0, False), (7, 9, False), (8, 19, False), (9, 20, True)],
-        # number 6 arrives twice, so there are two publishers
+        # Number 6 arrived twice, so there are two publishers.
         [(5, 0, False), (6, 11, True), (6, 12, False), (7, 99, False)],
         [(5, 0, False), (3, 1, False), (4, 99, False)],
         [(None, 0, False), (1, 50, False), (2, 99, False)],
@@ -696,14 +696,14 @@ def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     acknowledge(0, "other")  # the sender acknowledges its tick without a message on `out`
     assert [*SEEN] == [(0, 1.0, 0.0, None, 0)]
     assert row.held_stamp() is None
-    acknowledge(10, "out")  # the message arrives later
+    acknowledge(10, "out")  # the message itself arrives later
     node.hear("a", START + 10 * MS, 2.0)
     assert answered() == [0]
     node.hear("b", START + 10 * MS, 7.0)
     assert SEEN[-1] == (10 * MS, 2.0, 7.0, None, 0)
     assert row.held_stamp() == 10 * MS
     arrived, node.hand.time = row.arrived, node.hand.time + 1
-    acknowledge(10, "out")  # repeated message
+    acknowledge(10, "out")  # the message is repeated
     acknowledge(10)
     assert row.arrived == arrived
     acknowledge(20)
@@ -796,7 +796,7 @@ def test_a_message_of_a_node_in_the_same_process_is_stored_as_one_over_dds():
     tell(START + 10 * MS, (1.0,), START + 11 * MS)
     assert used == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
     assert (row.stamp, row.arrived, row.recent[-1]) == (START + 10 * MS, START + 11 * MS, (START + 10 * MS, (1.0,)))
-    tell(START + 20 * MS, None, START + 21 * MS)  # an acknowledged tick without a message; it is not forwarded
+    tell(START + 20 * MS, None, START + 21 * MS)  # an acknowledged tick without a message is not forwarded
     assert len(used) == 1
     row.receiver((1, 0), False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
     assert used[-1][2] == (2.0, 1.0)
@@ -811,7 +811,7 @@ def test_a_message_of_a_node_in_the_same_process_is_stored_as_one_over_dds():
     assert len(used) == 3
     row.receiver(None, True)(START + 60 * MS, (4.0,), START + 61 * MS)
     assert used[-1][2] == (4.0,)
-    row.local, row.outside = True, 1  # a publisher of another process exists as well
+    row.local, row.outside = True, 1  # another process has a publisher as well
     tell(START + 70 * MS, (5.0,), START + 71 * MS)
     assert (len(used), row.refused) == (4, 2)
     late = Node(Lag(period=0.01), epoch=START).join()
@@ -862,7 +862,7 @@ def test_nodes_of_one_process_with_external_subscribers_receive_each_others_mess
     assert len(hand.said["lag/reference"]) == 2  # also published to other nodes
 
 
-# ---- the clock of a rig that a person holds ----
+# ---- a rig whose clock a user holds ----
 
 
 def test_the_clock_stops_at_the_next_tick_and_continues_from_there():
@@ -1013,7 +1013,7 @@ def test_nodes_of_one_process_answer_in_order_by_one_timer_and_late_ones_first()
     assert beats.timer.now is None
     beats.begin()
     assert beats.timer.asked[-1:] == [(MS, 0)]
-    assert len(beats.timer.asked) == 4  # the timer is set after the last of the three nodes has begun
+    assert len(beats.timer.asked) == 4  # the last of the three nodes sets the timer when it has started
     assert beats.at(2) == [(0, 0, 0, 2), (1, 0, 0, 2), (2, 0, 0, 2)]
     assert beats.timer.now == (8 * MS, 10 * MS)
     assert beats.at(9.9) == []
@@ -1026,7 +1026,7 @@ def test_nodes_of_one_process_answer_in_order_by_one_timer_and_late_ones_first()
         (0, 4, 40, 41),
         (1, 2, 40, 41),
     ]
-    # up to 50 ms late all ticks are made up; beyond that, only the newest of each node
+    # Up to 50 ms late all ticks are made up; after that, only the newest tick of each node.
     assert [s[1] for s in beats.at(100) if s[0] == 0] == [5, 6, 7, 8, 9, 10]
     assert beats.at(170) == [(1, 8, 160, 170), (2, 5, 150, 170), (0, 17, 170, 170)]
     beats.law.t = 180 * MS

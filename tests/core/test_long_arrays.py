@@ -18,7 +18,7 @@ T = 0.001 * np.arange(N)
 
 @pytest.fixture(autouse=True)
 def _short(monkeypatch):
-    monkeypatch.setattr(module, "STRETCH", 128)  # numpy adds up to so many numbers without halving
+    monkeypatch.setattr(module, "STRETCH", 128)  # numpy sums up to 128 numbers without halving
 
 
 def far(x):

@@ -167,7 +167,7 @@ def test_a_loop_without_phase_margin_is_reported():
     assert view.modes == []
     nothing = view_of(np.diag([0.5, 2.0]), [1.0, 0.0], [0.4, 0.0], 0.0)
     assert nothing.opened.state_labels == ["plant.x[0]"]
-    assert nothing.stable  # only the states that the link reaches count; the pole at 2 is not one of them
+    assert nothing.stable  # the opened link does not reach the pole at 2, so it does not count
     assert not view_of(nothing.a, nothing.b, nothing.c, 0.0, link="").stable
     with pytest.raises(ScenarioError, match=r"^drawn: no link is opened$"):
         _ = view_of(nothing.a, nothing.b, nothing.c, 0.0, link="").opened
@@ -205,9 +205,9 @@ def test_frequencies_reach_from_the_slowest_pole_to_that_of_nyquist_and_are_dens
     assert slow.omega[-1] < top
     assert len(slow.omega) == 1000
     drifts = view_of(np.diag([1.0, math.exp(-2e-9 * math.pi)]), [0.2, 0.1], [-1e-12, 1e-12], 0.0)
-    # an integrator has no rate, and the other pole is below the lower limit
+    # An integrator has no corner frequency, and that of the other pole is below the lower limit.
     assert drifts.omega[0] == pytest.approx(1e-7 * top)
-    # everything decays within a period
+    # Everything decays within a period.
     assert view_of([[1e-5]], [0.2], [1e-5], 0.0).omega[0] == pytest.approx(1e-2 * top)
     turn, damping = 0.3, 1e-4
     swings = math.exp(-damping) * np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
@@ -244,7 +244,7 @@ def test_the_nodes_reachable_in_a_net_are_found():
     for _ in range(30):
         A = rng.random((6, 6)) * (rng.random((6, 6)) < 0.2)
         b, c = (rng.random(6) * (rng.random(6) < 0.3) for _ in range(2))
-        ways = np.linalg.matrix_power(np.eye(6) + A, 6) > 0.0  # nonzero where a path of at most six steps exists
+        ways = np.linalg.matrix_power(np.eye(6) + A, 6) > 0.0  # nonzero where a path of at most six steps leads
         hear = (ways[:, b != 0.0]).any(axis=1)
         assert _reach(A, b != 0.0).tolist() == hear.tolist()
         assert _between(A, b, c).tolist() == (hear & (ways[c != 0.0]).any(axis=0)).tolist()

@@ -20,7 +20,7 @@ from softrig_core.wire.recording import Columns, Topic
 
 
 def eighth(rng):
-    return rng.randint(-16, 16) / 8.0  # binary fractions: what lies on an edge does so exactly
+    return rng.randint(-16, 16) / 8.0  # binary fractions, so that a value on an edge is exactly on it
 
 
 def records(rng):
@@ -29,8 +29,8 @@ def records(rng):
     for name in ("y", "r"):
         steps = [rng.randint(1, 3) for _ in range(rng.choice([1, 2, 3, 6, 12, 12]))]
         ticks = [sum(steps[:k]) for k in range(len(steps))]
-        t = np.array(ticks) * 0.1  # as a run has them: not all the nearest double of what is written
-        calm = rng.random() < 0.5  # values that repeat
+        t = np.array(ticks) * 0.1  # times as in a run, where 3 * 0.1 differs from 0.3
+        calm = rng.random() < 0.5  # a few values that repeat often
         result[name] = (t, np.array([rng.choice([0.0, 1.0, 2.0]) if calm else eighth(rng) for _ in ticks]))
     return result
 
@@ -96,7 +96,7 @@ def settled(pairs, band, zero):
     return pairs[0][0] - zero
 
 
-CELL = 50_000_000  # ns
+CELL = 50_000_000  # ns, the width of a cell
 
 
 def cells(signals, reference, start, end):
@@ -320,7 +320,7 @@ def hold_steps(signals, cuts, initial, final, levels, bands):
 def test_a_step_over_uneven_samples_is_interpolated():
     """Crossings are on the lines between two samples, wherever these are."""
     t, y = np.array([0.0, 0.1, 0.4, 0.5, 1.0, 1.8, 2.0]), np.array([0.0, 0.05, 0.6, 0.8, 1.2, 0.9, 1.0])
-    signals = {"y": (t + 3.0, 2.0 * y - 7.0)}  # a step by 2 from -7
+    signals = {"y": (t + 3.0, 2.0 * y - 7.0)}  # the same signal, shifted and as a step of 2 from -7
     about = {"final": -5.0, "initial": -7.0}
     low, high = 0.1 + 0.3 * 0.05 / 0.55, 0.5 + 0.5 * 0.1 / 0.4
     assert measures.rise_time(signals, "y", **about) == pytest.approx(high - low)
@@ -443,10 +443,10 @@ def test_results_of_equal_times_are_computed_once(monkeypatch):
     assert other is not first
     assert gaps(first, 50.0) is gaps(again, 50.0)
     assert gaps(first[10:], 50.0) is gaps(again[10:], 50.0)
-    assert gaps(first[10:20], 50.0)[-1] == 31.0  # another part of the same array
+    assert gaps(first[10:20], 50.0)[-1] == 31.0  # another slice of the same array
     assert gaps(first, 60.0)[-1] == 11.0
     assert len(calls) == 4
-    assert gaps(gaps(first, 50.0), 9.0) is gaps(gaps(first, 50.0), 9.0)  # a result is kept, too
+    assert gaps(gaps(first, 50.0), 9.0) is gaps(gaps(first, 50.0), 9.0)  # results are cached as arguments, too
     lone = np.arange(50.0)
     assert gaps(lone, 50.0) is not gaps(lone, 50.0)  # a writable array may change, so its result is not cached
     with pytest.raises(ValueError, match="read-only"):

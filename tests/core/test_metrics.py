@@ -74,7 +74,7 @@ def test_the_final_value_is_the_last_sample_by_default():
 def test_a_level_that_is_never_reached_takes_infinite_time():
     short = {"y": (T[:1000], FIRST_ORDER["y"][1][:1000])}
     assert measures.rise_time(short, "y", final=3.0) == math.inf
-    assert measures.rise_time(short, "y", final=1e6) == math.inf  # it does not reach even the lower level
+    assert measures.rise_time(short, "y", final=1e6) == math.inf  # the signal does not even reach the lower level
     assert measures.settling_time(short, "y", final=3.0) == math.inf
 
 
@@ -112,12 +112,12 @@ def test_a_reference_signal_is_held_between_its_samples():
     with pytest.raises(ValueError, match="r has no value yet at 0 s"):
         measures.mean_error(late, "y", reference="r")
     last = {"y": (np.arange(4.0), np.array([0.0, 0.0, 0.0, 9.0])), "r": (np.arange(3.0), np.ones(3))}
-    # the plant's last message has no reference to pair with
+    # The plant's last message has no reference to pair with.
     assert measures.mean_error(last, "y", reference="r") == 1.0
 
 
 def test_both_ends_of_a_window_are_included():
-    t = np.arange(11) * 0.1  # 0.3 is not a binary fraction: 3 * 0.1 > 0.3
+    t = np.arange(11) * 0.1  # 3 * 0.1 is larger than 0.3
     signals = {"y": (t, np.arange(11.0))}
     assert measures.minimum(signals, "y", start=0.3) == 3.0
     assert measures.maximum(signals, "y", end=0.3) == 3.0
@@ -152,12 +152,13 @@ def test_an_empty_record_is_refused():
 def test_the_growth_rate_of_an_oscillation_is_its_exponent(sigma):
     t = np.arange(0.0, 20.0, 0.01)
     x = 2.0 + np.exp(sigma * t) * np.cos(5.0 * t)
-    offset = np.where(t < 10.0, 1e3, x)  # before the window it may be anything
+    offset = np.where(t < 10.0, 1e3, x)  # values before the window do not count
     for values in (x, offset):
         result = measures.growth_rate({"x": (t, values)}, "x", reference=2.0, start=10.0)
         assert result == pytest.approx(sigma, abs=2e-6)
     assert measures.growth_rate({"x": (t, x), "r": (t, 0.0 * t + 2.0)}, "x", reference="r") == pytest.approx(
         sigma, abs=2e-6
     )
-    with pytest.raises(ValueError, match=r"x has 2 peaks between 18.7 and 19.99 s, needed 3"):  # peaks of either sign
+    # Both maxima and minima count as peaks.
+    with pytest.raises(ValueError, match=r"x has 2 peaks between 18.7 and 19.99 s, needed 3"):
         measures.growth_rate({"x": (t, x)}, "x", reference=2.0, start=18.7)

@@ -49,7 +49,7 @@ def test_short_work_is_done_in_the_receiving_thread_and_long_work_by_the_executo
     this_thread = threading.get_ident()
     for k in range(SHORT_ONES):
         arrive(1000)
-        assert len(where) == k  # the monitor has not yet measured enough calls to run one in this thread
+        assert len(where) == k  # the monitor only runs a call in this thread once it has measured enough calls
         executor.turn(lambda n=k: len(where) > n)
     assert set(where) == {this_thread}
     arrive(LONG)
@@ -167,7 +167,7 @@ def test_an_error_in_another_thread_is_raised_in_the_executor():
     with pytest.raises(ValueError, match="no"):
         executor.turn(lambda: False)
     executor.monitor.serve()
-    assert not seen  # a failed node processes nothing more
+    assert not seen  # a failed node processes no more messages
 
 
 def test_after_an_error_of_the_executor_nothing_is_processed():

@@ -49,7 +49,7 @@ from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.ports import array_port
 from softrig_power.pv.shading import ShadingSource
 
-# one for each kind of block that native code knows, as short as its ticks allow
+# One rig for each kind of block that native code knows, as short as possible.
 KNOWN = {"dc_motor_smc": 0.02, "dc_motor_smc_b2": 2.0, "dc_motor_smc_b6_pid": 1.0, "dc_motor_smc_stretch_b": 0.5,
          "induction_dtc": 0.03, "lsrm_fuzzy": 0.01, "lsrm_fuzzy_mrac": 0.01, "lsrm_fuzzy_b5": 0.01,
          "manipulator_adsmc": 0.2, "manipulator_adsmc_s3": 0.1, "pv_mppt_certified": 0.2}  # fmt: skip
@@ -78,9 +78,7 @@ def ran(
     monkeypatch.setattr(choice, "writes", lambda steps, left: False)
     monkeypatch.setattr(choice, "unwanted", lambda steps, left, runs: "" if make else "a test")
     monkeypatch.setattr(choice, "Engine", build)
-    monkeypatch.setattr(
-        choice, "gather", lambda step, ticks: None
-    )  # the run that native code is compared with executes tick by tick
+    monkeypatch.setattr(choice, "gather", lambda step, ticks: None)  # the compared Python run executes tick by tick
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
     try:
@@ -131,7 +129,7 @@ def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_reference_with_a_trajectory_is_native_to_its_end(
     name: str, node: str, positions: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Whether the change is worth another text depends on the rigs that ran before in this process.
+    # Whether a change is worth a new compilation would depend on the earlier rigs of this process.
     monkeypatch.setattr(fitted, "_worth_another", lambda kinds: True)
     goal = {"start": 0.01, "times": [0.0, 0.02, 0.03], "positions": positions * 3}
     changes = [{"at": 0.01, "set": {f"{node}.goal.{key}": value for key, value in goal.items()}}]
@@ -193,7 +191,7 @@ class Oscillator(Plant[OscillatorParams]):
     def outputs(self, x: Turning, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give both."""
         a, b = x.a, x.b
-        a, b = b, a  # read before it is written
+        a, b = b, a  # reads both names before it writes them
         x = x._replace(a=a)
         return {"signal": (b, x.a)}
 
@@ -203,7 +201,7 @@ class Oscillator(Plant[OscillatorParams]):
         both = (a, b)
         both = tuple(a + rate * part for a, rate, part in zip(both, self._turn, (b, a), strict=True))
         for part in both:
-            both = (both[0], both[1] + 0.0 * part)  # goes through the one before
+            both = (both[0], both[1] + 0.0 * part)  # uses the value of the pass before
         left = 3
         while left > 0:
             left -= 1
@@ -307,7 +305,8 @@ def test_a_report_with_a_computed_text_leaves_the_tick_to_python(monkeypatch: py
 
 
 def test_steps_record_which_ticks_were_native_and_why_others_were_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # with numpy tables, as compiled code has
+    # `lambda` instead of `plain` selects numpy tables, as compiled code has.
+    steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]
     assert {name: step.native for name, step in steps.items()} == {
         "plant": (489, "10 of its ticks were given up"),
         "law": (249, "10 of its ticks were given up"),
@@ -447,7 +446,7 @@ class AtOnce(Watcher):
 def test_silent_late_and_faulty_links_are_the_same_as_in_python(faults, monkeypatch):
     results = {name: {"link": link, "from": 0.2, "to": 1.5, **how} for name, (link, how) in faults.items()}
     case = load_scenario("dc_motor_smc_b2").having(duration=2.0, faults=results)
-    for make in (plain, lambda text: plain(text)):  # the text that Python runs, and that numba gets
+    for make in (plain, lambda text: plain(text)):  # the code as Python runs it, and as numba gets it
         native = the_same(lambda: rig_of(case), monkeypatch, make)
         assert native.ticks > 190
         assert set(faults) < set(native.members)
@@ -455,7 +454,7 @@ def test_silent_late_and_faulty_links_are_the_same_as_in_python(faults, monkeypa
 
 def test_rarely_due_nodes_stay_in_python(monkeypatch):
     native = the_same(lambda: rig_of("manipulator_adsmc_two_link", duration=0.1), monkeypatch)
-    # of 100 ticks: one node is due at each twentieth, and publishes once
+    # Of 100 ticks, five belong to a node that is due at each twentieth one, so they run in Python.
     assert (native.ticks, native.given_up) == (95, 0)
     assert "robot_dynamics" not in native.members
 
@@ -683,9 +682,9 @@ def test_another_process_takes_native_code_from_the_cache(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("window", "period", "asked"),
     [
-        (0.15, 1e-4, 2),  # forgets, message after message
-        (0.15, 5e-4, 2),  # does not see all
-        (0.02, 1e-4, 2),  # forgets all of the reference between two of its messages
+        (0.15, 1e-4, 2),  # the window drops messages one by one
+        (0.15, 5e-4, 2),  # the period is longer than that of the messages, so some are missed
+        (0.02, 1e-4, 2),  # the window is shorter than the gap between two messages of the reference
         (60.0, 1e-4, 2),
     ],
 )

@@ -113,9 +113,9 @@ class Odd(Block[Params]):
 def test_a_node_due_at_each_eighth_tick_may_stay_in_python(period: float, members: tuple[str, ...]) -> None:
     run = ended(going({"body": Body(), "odd": Odd(period=period)}, 0.1))
     assert run.native.members == members
-    assert [s.native for s in run.steps] == [(0, "")] * 2  # nothing is reported of generated code that Python runs
+    assert [s.native for s in run.steps] == [(0, "")] * 2  # generated code that Python runs is not reported as native
     assert ("str()" in run.native.reason) == (members == ())
-    # the native ticks are all ticks except the first and those of the other node
+    # All ticks are native except the first and those of the other node.
     assert run.native.ticks == (0 if not members else 100 - 1 - 12)
 
 
@@ -140,7 +140,7 @@ class Turning(Block[Params]):
     [
         ((), [1]),
         ((3, 5), [1, 4, 6]),
-        (range(1, 20), [1, 2, 3, 4]),  # the state changes its type at each tick: at most four attempts
+        (range(1, 20), [1, 2, 3, 4]),  # the state changes its type at each tick, so there are four attempts
         ((200, 256), [1, 201, 257]),
         ((200, 257), [1, 201]),  # after tick 256 types are no longer checked
     ],
@@ -157,7 +157,7 @@ def test_a_rig_without_native_code_is_tried_again_when_its_states_change_type(tu
     monkeypatch.setattr(fitted, "rig_text", none)
     monkeypatch.setattr(fitted, "_worth_another", lambda kinds: True)
     ended(run)
-    assert at == [k for k in tried for _ in range(2)]  # each tick is tried with and without reports
+    assert at == [k for k in tried for _ in range(2)]  # each attempt generates the code with and without reports
     assert (run.native.reason, run.native.ticks, run.steps[0].t) == ("a test", 0, 400_000_000)
 
 
@@ -199,15 +199,15 @@ def test_a_text_is_compiled_in_a_thread_while_others_are_served(monkeypatch: pyt
         return lambda first, last, *more: called.append((first, last)) or function(first, last, *more)
 
     run = ended(going({"body": Body(), "law": Law()}, 0.4, make=make, alone=lambda: True))
-    assert called == [(1, 1), (65, 400)]  # ticks run in Python until it is known whether native code pays off
+    assert called == [(1, 1), (65, 400)]  # ticks run in Python until it is clear whether compiling pays off
     assert run.native.ticks == 335
     ended(going({"body": Body(), "law": Law()}, 0.4, make=make, alone=lambda: True))
-    assert called[2:] == [(1, 400)]  # the code is cached now
+    assert called[2:] == [(1, 400)]  # the code is cached by now
     called.clear()
     fitted._texts.clear()
     fitted._counts.clear()
     ended(going({"body": Body(), "law": Law()}, 0.4, make=make))
-    assert called == [(1, 400)]  # a run that serves no other node waits for the compilation
+    assert called == [(1, 400)]  # a run without other nodes in its process waits for the compilation
 
 
 def test_a_continued_run_begins_with_its_tick() -> None:
@@ -218,7 +218,7 @@ def test_a_continued_run_begins_with_its_tick() -> None:
             break
     ended(run, 40)
     assert [s.x for s in run.steps] == [s.x for s in whole.steps]
-    assert (run.native.ticks, whole.native.ticks) == (59, 99)  # Python answers the first tick of each
+    assert (run.native.ticks, whole.native.ticks) == (59, 99)  # the first tick of each part runs in Python
 
 
 def test_a_text_that_numba_refuses_is_reported_and_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -207,7 +207,7 @@ def doubled(x: Any) -> Any:
     return 2.0 * x
 
 
-# Arguments of the functions: as native code knows them from the tick before, and a second value.
+# Arguments of the functions: a value that native code knows from the tick before, and a second value.
 GIVEN: dict[str, tuple[Any, Any]] = {
     "p": (Dynamic("p", 0.5), 2.25),
     "q": (Dynamic("q", -1.5), 0.0),
@@ -1267,7 +1267,8 @@ ALL = {
     "reports": REPORTS.strip().split("\n\n"),
 }
 EACH = [case for cases in ALL.values() for case in cases]
-UNTYPED = [*ALL["numbers"], *ALL["parts"], *ALL["reports"]]  # cases whose generated text differs if Python runs it
+# Cases whose generated code depends on whether numba or Python runs it.
+UNTYPED = [*ALL["numbers"], *ALL["parts"], *ALL["reports"]]
 LINES = sum(len(ALL[name]) for name in CASES)
 
 
@@ -1349,7 +1350,7 @@ def test_the_text_gives_what_python_gives(typed: bool) -> None:
     """With the values it was written for, and with others; or it discards the tick."""
     equal = 0
     for case in EACH if typed else UNTYPED:
-        # these cases load numba, which other tests cover
+        # These cases load numba, which other tests cover.
         if "doubled" in case or (result := calling(case, typed)) is None:
             continue
         names, call, python, reported = result
@@ -1370,7 +1371,7 @@ def test_the_text_gives_what_python_gives(typed: bool) -> None:
     assert equal > (1000 if typed else 250)
 
 
-# by attribute: another value, and the attribute if texts with different values cannot be shared
+# By attribute: another value, and the attribute itself if its values cannot share code.
 CHANGES: dict[str, tuple[Any, str]] = {
     "gain": (7.5, ""),
     "array": (np.zeros(9), ""),
@@ -1404,7 +1405,7 @@ def test_native_code_shared_with_another_block_returns_the_values_of_its_python(
     for case in EACH:
         for name, (value, _) in CHANGES.items():
             value_of_call, program = native(case)[1:3]
-            # A constant answer is not an argument of the text: the caller inserts it.
+            # A constant answer is not an argument of the code, because the caller inserts it.
             if f"self.{name}" not in case or "doubled" in case or isinstance(value_of_call, Static):
                 continue
             other = changed(program, name, value)
@@ -1494,7 +1495,7 @@ def test_the_values_in_which_another_block_may_differ_are_those_passed_in() -> N
     program = Program([Owner()], Writer)
     writer = Writer(program, None, {})
     own = Static(program.roots[0], (0,))
-    node = written_out("p")[0]  # its content does not matter
+    node = written_out("p")[0]  # any node will do
 
     def attribute(*names: str) -> Any:
         value: Any = own

@@ -248,7 +248,6 @@ def hard(**periods: float) -> dict[str, Any]:
     return {name: kind(period=periods.get(name, 0.001)) for name, kind in kinds.items()}
 
 
-# blocks; those of them that are native, or all; ticks before the text is made
 class Several(NamedTuple):
     """Everything that a state may consist of."""
 
@@ -280,7 +279,7 @@ class Shaken(Body):
         return x._replace(a=x.a + push[0] + self.draws(x.k), k=x.k + 1)
 
 
-BATCHES: dict[str, tuple[Any, str, str]] = {  # blocks, the agent, why it is not native
+BATCHES: dict[str, tuple[Any, str, str]] = {  # blocks, the agent, and why the batch is not native
     "an agent in the place of the law": (lambda: {"body": Body(), "law": Law()}, "law", ""),
     "an agent at each third tick": (lambda: {"body": Shaken(), "law": Law(period=0.003)}, "law", ""),
     "a watcher is the quickest": (
@@ -357,7 +356,7 @@ def test_times_are_64_bit_integers(ticks: int, refused: bool) -> None:
     text = "times beyond whole numbers of 64 bits"
     for result in (why_not(rig_text, steps, []), why_not(batch_text, steps, steps[1], ["a[0]"], form)):
         assert result == (text if refused else "")
-    # The text of a run serves runs of other lengths, as long as their times fit.
+    # The code of one run serves runs of other lengths as long as their times fit into its types.
     short = stepped(blocks, duration=300.0)
     one, other = (fitted.kinds_of(fitted.Core(each), [], plain) for each in (steps, short))
     assert (one == other) is not refused

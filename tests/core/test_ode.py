@@ -10,7 +10,7 @@ from softrig_core import ByHand, Compiled, RunError, equilibrium, jit, linearise
 from softrig_drives.dc_motor.model import MotorConstants, state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
-TURN = ((-0.1, 2.0), (-2.0, -0.1))  # a damped turn: x = e^(-0.1 t) (cos 2t, -sin 2t)
+TURN = ((-0.1, 2.0), (-2.0, -0.1))  # a damped rotation: x = e^(-0.1 t) (cos 2t, -sin 2t)
 
 
 def turned(t):
@@ -52,7 +52,7 @@ def forced(t, x, p, dx):
 
 def test_stages_use_their_own_time():
     x = np.array([1.0])
-    rk4_loop(forced)(0.5, x, 0.25, 6, 1.0)  # exact for t^4
+    rk4_loop(forced)(0.5, x, 0.25, 6, 1.0)  # the method is exact for t^4
     assert x[0] == pytest.approx(1.0 + 2.0**4 - 0.5**4 - 1.5, abs=1e-14)
 
 

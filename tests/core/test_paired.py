@@ -92,7 +92,7 @@ def message_of(port, stamp, value):
 
 # ---- any senders in any order ----
 
-KINDS = {  # of a sender: period, publishes at the end, may be silent, messages are counted
+KINDS = {  # of a publisher: period, whether it publishes at the end, may be silent, and numbers its messages
     "alike": ("0.01", True, False, False),
     "slower": ("0.03", True, False, False),
     "twice": ("0.02", False, False, False),
@@ -115,7 +115,7 @@ class Sender:
         self.ticks = [self.schedule.time(k) for k in range(self.schedule.count())]
         self.spoken = [t for t in self.ticks if not self.silent or draw.random() < 0.5]
         self.bad = {t for t in self.spoken if draw.random() < bad}
-        self.told = self.came = 0  # acknowledgements, messages
+        self.told = self.came = 0  # counts of acknowledgements and of messages
 
     def message(self, k):
         t = self.spoken[k]
@@ -219,8 +219,8 @@ def test_a_message_of_no_tick_or_a_repeated_one_is_refused_with_what_was_expecte
     row = reader.row(state())
     reader.table.await_tick(0)
     for stamp, text in (
-        (10 * MS, "stamp 0.01 s from sender, expected 0 s"),  # between two of its ticks
-        (20 * MS, None),  # ahead of us
+        (10 * MS, "stamp 0.01 s from sender, expected 0 s"),  # the publisher has no tick at this time
+        (20 * MS, None),  # a message for the next tick is kept
         (20 * MS, "stamp 0.02 s from sender, expected 0 s"),
         (0, None),
         (0, "stamp 0 s from sender, expected 0 s (already there)"),
@@ -247,9 +247,9 @@ def test_repeated_messages_for_others_and_those_after_a_refused_one_are_skipped(
     reader.table.await_tick(10 * MS)
     row.receive(message_of(row.port, 10 * MS, math.nan))
     assert reader.step.bad
-    row.receive(message_of(row.port, 10 * MS, 3.0))  # a valid message is too late
+    row.receive(message_of(row.port, 10 * MS, 3.0))  # the valid message for this tick is too late
     assert (reader.values["x"], len(reader.refusals)) == ((1.0,), 1)
-    row.receive(b"\0\1\0\0")  # its tick cannot be read
+    row.receive(b"\0\1\0\0")  # without a stamp the message belongs to no known tick
     assert (len(reader.refusals), row.used) == (2, 10 * MS)
 
 
@@ -298,7 +298,7 @@ def test_delayed_messages_are_counted_and_keep_the_time_at_which_they_were_measu
         assert reader.table.missing == 1
         row.receive(message_of(port, stamp, k + 0.5))
         assert reader.values["x"] == Sample(stamp, (k + 0.5,))
-        assert reader.step.stamps["x"]() == reader.t  # the tick to which it belongs
+        assert reader.step.stamps["x"]() == reader.t  # the tick of the message is that of the reader
     reader = Reader(inputs={"x": link(delayed=True)}, returns=True)
     row = reader.row(port)
     for k, number in enumerate((0, 0, 1, 0)):  # a repeated message has the same number
@@ -314,7 +314,7 @@ def test_a_restarted_node_ignores_messages_that_it_has_missed():
     reader.table.await_tick(0)
     row.receive(message_of(row.port, 3, 1.0))
     assert (row.received, reader.failures, reader.table.missing) == (0, [], 1)
-    plain = reader.row(state("y"))  # a node started by hand is paired with any publisher
+    plain = reader.row(state("y"))  # a node started by hand accepts any publisher
     assert plain.who == "another node"
 
 
@@ -396,7 +396,7 @@ def test_an_external_message_is_recorded_at_the_tick_that_uses_it():
     reader = Reader(inputs={"x": link()})
     reader.record.foreign = {"x": 2}
     row = reader.row(state())
-    for stamps in ((0,), (10, 20), (), (30,)):  # one message arrives ahead of its time
+    for stamps in ((0,), (10, 20), (), (30,)):  # one of two messages arrives ahead of its time
         reader.table.await_tick(reader.t)
         for stamp in stamps:
             row.receive(message_of(row.port, stamp * MS, 1.0))
@@ -426,9 +426,9 @@ def test_a_node_that_follows_the_clock_waits_for_each_of_its_ticks_once():
         assert reader.table.missing == 1
         hear(clock(k * 10 * MS, ()))
         assert (reader.table.missing, row.used, row.reached) == (0, k * 10 * MS, k * 10 * MS)
-        hear(clock(k * 10 * MS, ()))  # again
+        hear(clock(k * 10 * MS, ()))  # repeated, which changes nothing
         assert reader.turns == k + 1
-    hear(clock(40 * MS, ()))  # the next one ahead of us
+    hear(clock(40 * MS, ()))  # a clock message ahead of its time
     assert row.reached == 40 * MS
     hear(clock(60 * MS, ()))
     assert row.reached == 40 * MS
@@ -475,7 +475,7 @@ def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
     assert reader.values["x"] == (4.0,)
     for k in range(3, 9):
         sender(k * 10 * MS)
-    table.await_tick(80 * MS)  # the follower must have acknowledged 30 ms and all ticks before
+    table.await_tick(80 * MS)  # the follower must have acknowledged all ticks up to 30 ms
     assert [r.who for r in table.rows if not r.have] == ["follower"]
     follower(20 * MS)
     assert table.missing == 1
@@ -499,7 +499,7 @@ def test_the_owner_of_the_clock_waits_for_the_messages_of_the_previous_tick():
     slow(0)
     assert reader.table.missing == 0
     reader.table.await_tick(10 * MS)
-    # the last message of the slow sender is held
+    # The last message of the slow publisher is held.
     assert [row.who for row in reader.table.rows if not row.have] == ["law"]
     other = Reader(acks={"law": "0.01"})
     other.table.follow_ticks(set(), lambda: None)
@@ -514,7 +514,7 @@ def test_the_owner_of_the_clock_waits_for_the_messages_of_the_previous_tick():
     plant = Reader(plant=True, acks={"law": "0.01"})
     plant.table.follow_ticks(set(), lambda: None)
     plant.table.await_tick(0)
-    assert plant.table.rows[0].want == 0  # before its next tick
+    assert plant.table.rows[0].want == 0  # the acknowledgement of t = 0 is needed before the next tick
 
 
 def test_after_a_restart_a_row_continues_after_the_used_message_and_reads_what_was_published():
@@ -528,7 +528,7 @@ def test_after_a_restart_a_row_continues_after_the_used_message_and_reads_what_w
     assert reader.table.missing == 1
     row.recall(2, message_of(row.port, 30 * MS, 4.0))
     assert (reader.table.missing, reader.values["x"], reader.turns) == (0, (4.0,), 1)
-    row.resume(10 * MS, 10 * MS)  # a resumption at an earlier time does not undo what was used
+    row.resume(10 * MS, 10 * MS)  # resuming at an earlier time does not undo used messages
     assert (row.used, row.have) == (30 * MS, False)
     quiet = Reader(inputs={"x": link(sporadic=True)})
     row = quiet.row(state())
@@ -541,7 +541,7 @@ def test_after_a_restart_a_row_continues_after_the_used_message_and_reads_what_w
     row = counted.row(array("x", "x", {"q": 1}, "m"))
     row.resume(-1, 10 * MS)
     row.count(4, [10 * MS])
-    row.acknowledge(10 * MS, True)  # known already
+    row.acknowledge(10 * MS, True)  # this acknowledgement is already known
     row.receive(message_of(row.port, 4, 6.0))
     counted.table.await_tick(10 * MS)
     assert (row.received, counted.values["x"], counted.table.missing) == (5, (6.0,), 0)
@@ -628,7 +628,7 @@ def test_a_rig_that_waits_reports_for_what_once_until_it_moves():
     after(reader, stalls, 5.0)
     assert reader.notes == []
     reader, row, stalls = stands()
-    reader.ticks = 1  # another node may not have started yet
+    reader.ticks = 1  # another node may still be starting
     after(reader, stalls, 5.0)
     assert reader.notes == []
 
@@ -649,7 +649,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_names_what_it_waits_f
         assert after(reader, stalls, 10.0) == "running"
         assert after(reader, stalls, 0.1).startswith("nothing stamped")
     reader, row, stalls = stands()
-    row.have = True  # it waits for no message, because a user holds the rig
+    row.have = True  # no message is missing; a user holds the rig
     assert after(reader, stalls, 100.0) == "running"
     reader, row, stalls = stands()
     row.receive(message_of(row.port, 130 * MS, 1.0))
@@ -716,7 +716,7 @@ def test_only_the_missing_one_of_several_senders_is_named():
     assert after(reader, stalls, 0.6) == "nothing stamped t = 0.05 s within 0.6 s on y from another node (gone)"
     reader, row, stalls = stands({"returns": True})
     row.outside = 0
-    assert after(reader, stalls, 1e6) == "running"  # the command that restarts nodes checks whether the rig continues
+    assert after(reader, stalls, 1e6) == "running"  # the command that restarts nodes checks the progress of the rig
 
 
 @pytest.mark.parametrize("starting", [True, False])
@@ -844,8 +844,8 @@ def comes_back(record, own=(), answered=(), departed=(), inputs=None, ports=None
 
 
 RECORD = {
-    "x": [(10 * k, k + 0.5) for k in range(5)],  # up to 40 ms
-    "s": [(10, 7.0), (30, math.nan)],  # published twice; the second message was rejected
+    "x": [(10 * k, k + 0.5) for k in range(5)],  # a message every 10 ms, up to 40 ms
+    "s": [(10, 7.0), (30, math.nan)],  # two messages, of which the second was rejected
     "c": [(10 * k, k + 0.25) for k in range(6)],
 }
 
@@ -896,7 +896,7 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
         reader, rows, _, seen, *_ = comes_back(record, answered=answered, inputs=kinds, ports=ports)
         assert [k for k, *_ in seen] == ([] if last is None else [*range(last + 1)])
         assert rows["s"].reached == (-10 * MS if last is None else 0)
-    fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # no message has been recorded yet
+    fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # nothing has been recorded yet
     rows["x"].receive(message_of(rows["x"].port, 0, 3.0))
     rows["s"].receive(message_of(rows["s"].port, 0, 4.0))
     assert (fresh.table.missing, fresh.values["x"], fresh.values["s"]) == (0, (3.0,), (4.0,))
@@ -927,7 +927,7 @@ def test_external_messages_are_in_the_nodes_own_recording_and_each_one_counts():
     received = comebacks._Recorded(row, Files(recording({}), recording(own)), outside=True)
     reader.ticks = 1
     received.set_value(10 * MS)
-    assert [(number, t) for number, t, _ in reader.kept] == [(4, 10 * MS)] * 3  # recorded anew
+    assert [(number, t) for number, t, _ in reader.kept] == [(4, 10 * MS)] * 3  # the messages are recorded again
     assert [number for number, _ in received.unused()] == [3, 4]
     paired_ = comebacks._Recorded(reader.table.rows[0], Files(recording(record), recording(own)), outside=False)
     paired_.set_value(15 * MS)

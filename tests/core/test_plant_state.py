@@ -28,9 +28,10 @@ def plants():
         for name in executables(file.parent.name):
             try:
                 kind = load_block(file.parent.name, name)
-            except ScenarioError:  # a tool
+            except ScenarioError:  # the executable is a tool, not a node
                 continue
-            if issubclass(kind, Plant) and name not in ("fmu_plant", "c_plant"):  # state of a file
+            # The state of these plants is in a file.
+            if issubclass(kind, Plant) and name not in ("fmu_plant", "c_plant"):
                 result[name] = kind
     return result
 
@@ -83,7 +84,7 @@ def test_linearised_motor_is_the_sampled_equations():
     result = Sampled(plant).linearise((0.0, 3.0, 0.2), (1.5,))
     np.testing.assert_allclose(result.A, ad, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(result.B[:, 0], bd[:, 0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(result.C[:2], np.eye(3)[:2], atol=1e-12)  # angle and speed in motor/state
+    np.testing.assert_allclose(result.C[:2], np.eye(3)[:2], atol=1e-12)  # the outputs motor/state are angle and speed
     assert result.system().dt == plant.p.period
 
 
@@ -128,6 +129,6 @@ def test_currents_of_a_state_are_those_of_the_step():
     plant = ImPlant(adc_mode="none")
     state = (0.3, -0.8, 0.35, -0.7, 20.0, 1.0)
     outputs = plant.outputs(type(plant.first())(*state), 0)
-    again = plant._step((*state, 0.0, 0.0, 0.0, *plant._constants[:-1], 0.0))  # a step of no length
+    again = plant._step((*state, 0.0, 0.0, 0.0, *plant._constants[:-1], 0.0))  # a step of zero length
     assert outputs["currents_true"] == pytest.approx(again[6:9], rel=1e-12)
     assert outputs["joint_states"][2] == pytest.approx(again[9], rel=1e-12)

@@ -70,7 +70,7 @@ def rig(name):
     return rig_of(make_scenario(nodes, duration, **options))
 
 
-DAILY = ("end",)  # runs in processes; the others use the simulated middleware
+DAILY = ("end",)  # this case runs in processes; the others use the simulated middleware
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in RIGS])
@@ -99,7 +99,8 @@ def test_an_event_reaches_its_readers_at_its_tick_and_is_held():
     assert recording.topics["lag/burst"].times == [50_000_000, 120_000_000]
     signals = Signals(recording)
     u, x = signals["lag/command/u/effort"], signals["lag/state/x/position"]
-    # channel a is never sent and keeps its safe 0.25; b changes its sign 30 ms after the event, at first it is -0.5
+    # Channel a never gets a message and keeps its safe value of 0.25. Channel b starts with -0.5 and changes its sign
+    # 30 ms after the event.
     b = [-0.5] * 5 + [1.0] * 3 + [-1.0] * 4 + [2.0] * 3 + [-2.0] * 15
     assert u.x + x.x[:-1] == pytest.approx([0.25 + value for value in b])
 
@@ -144,7 +145,7 @@ def test_units_are_declared_by_channel():
     assert joint_state("x", "x", ["a", "b"], position=["rad", "m"], velocity="1").units == ("rad", "m", "1", "1")
     with pytest.raises(ValueError, match="3 units for 2 values"):
         command("u", "u", ["a", "b"], ["N", "V", "A"])
-    # A key of a native text contains the limits.
+    # The key of native code must contain the limits.
     assert command("u", "u", ["a", "b"], "N", limits=[1.0, 2.0]).limits == (1.0, 2.0)
 
 

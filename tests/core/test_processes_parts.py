@@ -50,23 +50,24 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 @pytest.mark.parametrize(
     ("domain", "now", "pid", "used", "others", "base", "user"),
     [
-        # the search begins at 6200 for what ROS says of nodes (400 below the base) and at 76 of the domain's numbers
+        # The search for a discovery port begins 400 below the base, that for a user port at number 76 of the domain.
         (3, 0.0, 7, (), 0, 6607, 76),
         (3, 0.0, 57, (), 0, 6607, 76),  # each process begins at one of fifty places
         (3, 0.0, 49, (), 0, 6649, 76),
-        (3, 18.0, 7, (), 0, 6607, 76),  # the places repeat after 18 s
-        (3, 2.25, 7, (), 0, 6657, 90),  # an eighth of 18 s later: the next fifty ports, an eighth of 112 further
+        (3, 18.0, 7, (), 0, 6607, 76),  # the sequence repeats after 18 s
+        # An eighth of 18 s later, the search begins fifty ports (and an eighth of 112) further.
+        (3, 2.25, 7, (), 0, 6657, 90),
         (3, 17.99, 0, (), 0, 6950, 187),
         (3, 9.0, 7, (6407, 6408), 0, 6809, 132),
         (3, 0.0, 7, (8226, 8227), 0, 6607, 78),
-        (3, 0.0, 7, (8226,), 1, 6607, 76),  # behind one participant it listens two further: 8228
+        (3, 0.0, 7, (8226,), 1, 6607, 76),  # participant 1 listens two ports further, at 8228
         (3, 0.0, 7, (8228,), 1, 6607, 77),
         (3, 0.0, 7, (8230,), 2, 6607, 77),
-        (3, 17.99, 0, (8337,), 0, 6950, 76),  # round and round
+        (3, 17.99, 0, (8337,), 0, 6950, 76),  # after the last port the search continues with the first
         (3, 0.0, 7, (*range(6200, 6600), *range(8226, 8338)), 0, 6607, 76),  # no port is free, so the first one is used
         (0, 0.0, 7, (7476,), 0, 6607, 77),
         (231, 0.0, 7, (65226,), 0, 6607, 77),
-        (232, 9.0, 7, (), 0, 6807, 11),  # the last domain has no room: as the standard has it
+        (232, 9.0, 7, (), 0, 6807, 11),  # the last domain has no free range, so the standard's ports hold
     ],
 )
 def test_a_participant_has_ports_that_no_process_had_lately(domain, now, pid, used, others, base, user, monkeypatch):
@@ -87,7 +88,7 @@ def test_ports_that_are_bound_are_seen():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, ExitStack() as stack:
         one.bind(("127.0.0.1", 0))
         bound = {one.getsockname()[1]}
-        with suppress(OSError):  # where there is no IPv6
+        with suppress(OSError):  # skipped without IPv6
             two = stack.enter_context(socket.socket(socket.AF_INET6, socket.SOCK_DGRAM))
             two.bind(("::1", 0))
             bound.add(two.getsockname()[1])
@@ -155,7 +156,8 @@ def test_while_a_participant_starts_its_profile_is_that_of_the_environment(profi
     if profile_of:
         monkeypatch.setenv(profile.VARIABLE, str(user_file if profile_of == "theirs" else executables.LOOPBACK))
     before = os.environ.get(profile.VARIABLE)
-    for silence, lease in ((None, "3"), (7.2, "3" if profile_of == "theirs" else "10")):  # a second or more, and two
+    # A lease of 3 s by default; for a longer silence, a longer one.
+    for silence, lease in ((None, "3"), (7.2, "3" if profile_of == "theirs" else "10")):
         with profile.joining(silence=silence):
             file = Path(os.environ[profile.VARIABLE])
             assert (file.name[:8], file.suffix) == ("softrig-", ".xml")
@@ -167,7 +169,7 @@ def test_while_a_participant_starts_its_profile_is_that_of_the_environment(profi
             assert root.find(".//d:property", SPACE) is None
         assert os.environ.get(profile.VARIABLE) == before
         assert not file.exists()
-    assert fixed[::2] == [42, 42]  # ports that block it are removed first
+    assert fixed[::2] == [42, 42]  # removed first, because ports left there would block the node
     with suppress(KeyError), profile.joining(exclusive=True):
         assert ElementTree.parse(os.environ[profile.VARIABLE]).getroot().find(".//d:property", SPACE) is not None
         raise KeyError
@@ -184,8 +186,8 @@ def test_without_room_in_shared_memory_no_transport_uses_it(reach, asked, fixed,
     monkeypatch.setattr(profile, "lacking", lambda nodes: "" if asked else f"no room for {nodes}")
     with profile.joining():
         root = ElementTree.parse(os.environ[profile.VARIABLE]).getroot()
-        assert os.environ[profile.TRANSPORTS] == "UDPv4"  # a profile without transports uses this variable
-        # rmw_fastrtps adds shared memory to whatever profile a LOCALHOST participant has
+        assert os.environ[profile.TRANSPORTS] == "UDPv4"  # this variable applies if the profile sets no transports
+        # rmw_fastrtps adds shared memory to every profile if the discovery range is LOCALHOST.
         assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == {"LOCALHOST": "SYSTEM_DEFAULT"}.get(reach, reach)
     local = reach == "LOCALHOST"
     assert [e.text for e in root.iter(f"{{{profile.SPACE}}}transport_id")] == ["softrig_loopback"] * 2 * local
@@ -364,7 +366,7 @@ def test_a_process_that_does_not_end_is_asked_again_and_killed(monkeypatch):
     ended, kind, deaf, twin = (Child(name, pid) for pid, name in enumerate(("ended", "kind", "deaf", "twin"), 1))
     ended.process.returncode = 3
     deaf.process.stubborn = (signal.SIGINT, signal.SIGTERM)
-    twin.process = kind.process  # of one container
+    twin.process = kind.process  # both nodes are in one container
     stop([ended, kind, deaf, twin])
     assert [c.interrupted for c in (ended, kind, deaf, twin)] == [False, True, True, True]
     assert ended.process.sent == []
@@ -466,7 +468,7 @@ def test_a_call_that_does_not_return_is_reported_once_when_the_rig_waits(watched
         run.at(k / 10 + 0.05, run.says("plant", t=k))
     run.logs["last"] = line
     run.run()
-    assert run.announced == []  # the run continues
+    assert run.announced == []  # no error is announced, as the run continues
 
 
 def all_end(run, seconds):
@@ -478,7 +480,7 @@ def test_a_run_that_ends_in_order_reports_the_progress_of_its_plant(watched):
     for at, t in ((0.2, 5), (0.4, 5), (0.7, 9)):
         run.at(at, run.says("plant", t=t))
     run.at(0.3, run.says("law", t=100))
-    assert all_end(run, 50.0).run() == ("", 50.0)  # no node is late while all run and none is held
+    assert all_end(run, 50.0).run() == ("", 50.0)  # while all nodes run, none of them is late
     assert run.told == [0, 5, 9]
     assert run.looks[0] == {name: {"t": 0, "state": "running"} for name in ("plant", "law", "source")}
 
@@ -489,7 +491,8 @@ def test_a_node_whose_code_ends_its_process_with_0_before_its_last_tick_is_named
     assert run.run() == ("code of node law after t = 0.5 s has ended its process with status 0", 2.0)
     run = watched()
     run.at(1.0, run.says("law", left_early=True)).at(2.0, run.ends("law", state="running"))
-    assert run.run() == (LOST.format("plant, source"), 12.0)  # killed by a signal, which is reported at the end
+    # The node was killed by a signal, which is reported at the end.
+    assert run.run() == (LOST.format("plant, source"), 12.0)
 
 
 def test_in_lockstep_remaining_nodes_have_the_timeout_from_the_last_progress(watched):
@@ -515,19 +518,20 @@ def test_a_node_without_a_status_has_the_time_of_the_start(watched):
     assert run.run() == ("node law has reported nothing within 30 s of its start", 30.1)
     run = watched()
     run.states["law"] = {}
-    run.restarts.check = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)  # restarted
+    # The node is restarted at 120 s.
+    run.restarts.check = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)
     assert run.run()[1] == 50.1
 
 
 def test_in_real_time_all_nodes_have_the_timeout_after_the_end_of_the_run(watched):
     run = watched(realtime=True)
-    run.at(3.0, run.says("plant", epoch=round((1000.0 + 100.0 + 3.0 + 2.0) * 1e9)))  # t = 0 is 2 s later
+    run.at(3.0, run.says("plant", epoch=round((1000.0 + 100.0 + 3.0 + 2.0) * 1e9)))  # 2 s later than now
     assert run.run() == (LOST.format("plant, law, source"), 20.1)
     run = watched(realtime=True)
     run.at(3.0, run.says("plant", epoch=1)).at(6.0, run.says("plant", held=True)).at(9.0, run.says("plant", held=False))
     assert run.run() == (LOST.format("plant, law, source"), 24.0)
     run = watched(realtime=True)
-    run.at(3.0, run.says("plant", epoch=10**30))  # the clock was set: as long as a start may take
+    run.at(3.0, run.says("plant", epoch=10**30))  # the clock was changed, so the limit is that of a start
     assert run.run() == (LOST.format("plant, law, source"), 48.1)
 
 
@@ -583,7 +587,7 @@ def test_failed_nodes_are_named_with_the_reason(watched):
     assert outcome((3, 3, 0), waits) == ("node plant: broken", 0.0)
     late = (("plant", 0.5, 3),)
     assert outcome((None, 3, 0), waits, later=late)[0] == "node plant: broken"
-    assert outcome((None, 3, 0), waits)[0] == "node plant: broken"  # it has reported the error but has not ended yet
+    assert outcome((None, 3, 0), waits)[0] == "node plant: broken"  # the node has reported an error but still runs
     done = {"law": {"state": "done"}, "plant": failed, "source": {"state": "done"}}
     assert outcome((3, 3, 3), done) == ("node plant: nothing on x", 0.0)
     assert outcome((3, 0, 3), {"plant": failed, "source": failed | {"error": "b"}})[0] == (
@@ -598,7 +602,7 @@ def test_a_system_clock_that_is_set_back_is_reported(monkeypatch):
     assert clock.set_back() == ""
     for ahead in (600.0, 599.0, 600.0):
         wall.ahead = ahead
-        assert clock.set_back() == ""  # a second is none
+        assert clock.set_back() == ""  # a change by one second does not count
     wall.ahead = 570.0
     clock.update()
     wall.ahead = 640.0
@@ -635,16 +639,17 @@ def test_a_node_that_was_killed_is_restarted_when_all_others_wait(tmp_path, monk
         return len(started)
 
     assert look(one=(1, {"ticks": 5}), two=(1, {"ticks": 4})) == 0
-    assert look(one=(1, {"ticks": 5}), two=(2, {"ticks": 4})) == 0  # one node has written nothing since
-    assert look(one=(2, {"ticks": 6}), two=(3, {"ticks": 4})) == 0  # the node has advanced
+    # One of the nodes has not written its status since.
+    assert look(one=(1, {"ticks": 5}), two=(2, {"ticks": 4})) == 0
+    assert look(one=(2, {"ticks": 6}), two=(3, {"ticks": 4})) == 0  # one node has advanced
     assert look(one=(3, {"ticks": 6, "busy": True}), two=(3, {"ticks": 4})) == 0
     assert look(one=(4, {"ticks": 6}), two=(3, {"ticks": 4})) == 1
     assert restarts.counts == {"dead": 1}
     assert messages == ["node dead was killed by SIGKILL after t = 0 s; it is started again (1 of 2)"]
     assert restarts.why(nodes[0].member) == "; it was started again 1 of 2 times"
     nodes[0].process.returncode = -11
-    nodes[1].process.returncode = 0  # it has ended, so it need not have paused
-    assert look(one=(9, {}), two=(3, {"ticks": 4})) == 1  # checked again
+    nodes[1].process.returncode = 0  # a node that has ended need not have paused
+    assert look(one=(9, {}), two=(3, {"ticks": 4})) == 1  # the next check counts from one again
     assert look(one=(9, {}), two=(4, {"ticks": 4})) == 2
     nodes[0].process.returncode = -9
     assert restarts.check(nodes) == [nodes[0]]
@@ -659,7 +664,7 @@ def test_impossible_restarts_are_refused():
     rig = rig_of(make_scenario(BASIC))
     guest = rig_of(make_scenario(BASIC | {"gain": {"executable": "gain", "external": True}}))
     check_restart(rig, Placement(restart=1))
-    check_restart(guest, Placement("container", "realtime", record=False))  # no restart was requested
+    check_restart(guest, Placement("container", "realtime", record=False))  # without `restart` any rig is accepted
     whole = "--restart: expected a run in lockstep whose nodes have a process each, all on this host"
     for made, placement, text in (
         (rig, Placement(clock="realtime", restart=1), whole),
@@ -713,9 +718,9 @@ def test_missing_external_nodes_are_reported_with_what_to_do_and_present_ones_ar
     assert look(plant=lacks | wrong, source=lacks) == ["lag/command exists with type x"]
     stray = {
         "/lag/comand": [["sensor_msgs/msg/JointState", "/theirs"]],
-        "/lag/state": [["sensor_msgs/msg/JointState", "/theirs"]],  # a topic of the rig
+        "/lag/state": [["sensor_msgs/msg/JointState", "/theirs"]],  # an external publisher of a topic of the rig
         "/tf": [["tf2_msgs/msg/TFMessage", "/theirs"]],
-        "/plant/more": [["sensor_msgs/msg/JointState", "/plant"]],  # ours
+        "/plant/more": [["sensor_msgs/msg/JointState", "/plant"]],  # a topic of a node of softrig
     }
     text = "/theirs publishes /lag/comand, which nobody in the rig reads; lag/command is awaited from gain"
     assert look(plant=lacks | {"published": stray}, source=lacks) == [text]
@@ -752,7 +757,8 @@ def test_an_answer_of_the_server_belongs_to_the_newest_request_and_a_dead_proces
     near_end, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     server = object.__new__(fork_server.ForkServer)
     server._lock, server._asked, server._link, server._owner = threading.Lock(), 0, near_end, -1
-    for number, status in ((1, 7), (1, 8), (2, 9)):  # the reply to a request that a signal has interrupted
+    # The first reply is late: it belongs to a request that a signal has interrupted.
+    for number, status in ((1, 7), (1, 8), (2, 9)):
         far_end.send(json.dumps({"number": number, "status": status}).encode())
     assert [server.status(5), server.status(6)] == [7, 9]
     asked = [json.loads(far_end.recv(999)) for _ in range(2)]
@@ -797,7 +803,7 @@ def test_an_edited_module_is_noticed_once(tmp_path, monkeypatch):
     assert not edited
     monkeypatch.setattr(fork_server, "_LIBRARIES", (str(tmp_path),))
     file.touch()
-    assert not edited  # files of Python's own libraries are not checked
+    assert not edited  # edits of Python's own libraries are not checked
 
 
 def test_a_missing_folder_of_a_run_is_created(tmp_path, monkeypatch, lag_rig):
@@ -856,7 +862,7 @@ def test_a_node_declares_its_parameters_and_those_of_its_run_that_belong_to_othe
         "pace": 0.0,
         "link": "",
     }
-    assert not node.declared["run.pace"][1]  # the parameter may be changed during the run
+    assert not node.declared["run.pace"][1]  # this parameter is live
     assert node._parameters["run.paired"].type_ == Parameter.Type.STRING_ARRAY
     assert node.describe_parameter("run.paired").type == Parameter.Type.STRING_ARRAY.value
     with pytest.raises(ParameterError):

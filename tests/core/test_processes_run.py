@@ -115,17 +115,17 @@ def test_a_run_in_a_chosen_domain_leaves_the_ports_of_others_alone(stage, tmp_pa
     one.run(domain=4, wait=5.0, record=False, clock="realtime")
     assert one.asked[:2] == ["loopback", ("leftovers", None)]
     assert one.asked[-1] == ("leftovers", None)
-    assert one.started.recorders == ()  # other nodes may exist in the domain
+    assert one.started.recorders == ()  # other nodes may exist in the domain, so no recorder is awaited
     assert (one.started.options["run.start_timeout"], one.started.record) == (5.0, False)
     assert ("watch", [*BASIC], True, 0) in one.asked
     part = stage()
     part.run(only=("gain",))
-    assert "loopback" not in part.asked  # over the network
+    assert "loopback" not in part.asked  # this run uses the network
     assert ((17, tmp_path), {"discovery": "SUBNET", "silence": 7.0}) in part.asked
     assert [a for a in part.asked if isinstance(a, tuple) and a[0] == "start"] == [("start", ["gain"], False)]
     guest = stage(BASIC | {"gain": {"executable": "gain", "external": True}})
     guest.run()
-    assert guest.started.options["run.start_timeout"] == 0.0  # no limit: the node waits as long as necessary
+    assert guest.started.options["run.start_timeout"] == 0.0  # no limit, since the other part may start later
     assert ("leftovers", None) in guest.asked
     assert guest.said[0].startswith("waiting for gain")
     together = stage()
@@ -141,7 +141,7 @@ def test_facts_that_a_user_should_know_of_a_run_are_logged(stage):
         "domain 120: 1 to 100 are taken (by x)",
         "/dev/shm has 1 MB left: messages use UDP, which is slower",
     ]
-    # so that no node uses the little shared memory
+    # So that nodes do not use shared memory, of which there is too little.
     assert one.started.variables == {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     started = stage()
     started.run(domain=120)
@@ -220,7 +220,7 @@ def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(t
     assert "run.again" not in content
     by_server = None
     spawning.start(run, [members["gain"]])
-    assert child.log.read_text() == "x"  # the log has only this start
+    assert child.log.read_text() == "x"  # the log is that of this start only
     ((command, log, how),) = started
     assert (command, log) == (gain, str(child.log))
     assert how == {
@@ -232,7 +232,7 @@ def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(t
     }
     child.shard.write_text("what it said")
     spawning.start(run._replace(record=False), [members["gain"]], again=True)
-    assert child.log.read_text() == "xx"  # appended to the log of the node that died
+    assert child.log.read_text() == "xx"  # appended to the log of the node that has died
     assert (tmp_path / "gain.shard.died").read_text() == "what it said"
     content = (tmp_path / "gain.params.yaml").read_text()
     for line in ('run.shard: ""', f'run.again: "{tmp_path}"', "run.paused: false"):
@@ -246,7 +246,7 @@ def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(t
 
 def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "statvfs", lambda folder: SimpleNamespace(f_bavail=10, f_frsize=375_000))
-    assert shared_memory.lacking(3, tmp_path) == ""  # 1.25 MB each
+    assert shared_memory.lacking(3, tmp_path) == ""  # each node needs 1.25 MB
     assert shared_memory.lacking(4, tmp_path) == f"{tmp_path} has 3.8 MB left, 4 nodes take 5.0"
     for text, number in (("7", 7), ("", 0), ("x", 0), ("-1", 0)):
         monkeypatch.setenv("ROS_DOMAIN_ID", text)
@@ -284,14 +284,14 @@ def test_the_place_of_the_last_check_of_a_port_is_found_or_nothing_is_written(tm
     for segment, place in (
         (port_of_fast_dds(0), 0),
         (port_of_fast_dds(16), 16),
-        (port_of_fast_dds(12), -1),  # not aligned
+        (port_of_fast_dds(12), -1),  # the entry is not aligned
         (port_of_fast_dds(8, number=7412), -1),
         (port_of_fast_dds(8, third=6_667), -1),
         (port_of_fast_dds(8, limit=0, third=0), -1),
-        (port_of_fast_dds(8, ago=2e9), -1),  # no time of ours
+        (port_of_fast_dds(8, ago=2e9), -1),  # a time far from now
         (port_of_fast_dds(8, ago=-2e9), -1),
-        (port_of_fast_dds(8, size=43), -1),  # cut
-        (struct.pack("=I", 7411) + port_of_fast_dds(12), 16),  # the same number occurs at another place as well
+        (port_of_fast_dds(8, size=43), -1),  # the file is cut
+        (struct.pack("=I", 7411) + port_of_fast_dds(12), 16),  # the number of the port occurs at another place, too
     ):
         assert shared_memory.judged(segment, path) == place
         path.write_bytes(segment)
@@ -317,7 +317,7 @@ def test_leftovers_are_removed_in_an_unused_domain_and_its_locks_belong_to_the_u
         lock = tmp_path / "softrig" / "domains" / f"{number}.lock"
         assert (lock.stat().st_mode & 0o777, lock.parent.stat().st_mode & 0o777) == (0o600, 0o700)
     with domain.free_domain(number):
-        assert asked[1:] == [None]  # other nodes may exist in the domain
+        assert asked[1:] == [None]  # other nodes may exist in the domain, so its ports stay
 
 
 def test_the_search_for_a_domain_begins_at_the_process_id_and_wraps_around(monkeypatch):
@@ -329,7 +329,7 @@ def test_the_search_for_a_domain_begins_at_the_process_id_and_wraps_around(monke
         raise KeyError
 
     monkeypatch.setattr(domain, "_open", taken)
-    monkeypatch.setattr(os, "getpid", lambda: 298)  # the process uses place 98 of 1 to 100
+    monkeypatch.setattr(os, "getpid", lambda: 298)  # this process starts to search at place 98 of 100
     for busy, first in (
         ({}, 99),
         ({99}, 100),
@@ -365,7 +365,7 @@ def test_nodes_need_a_loopback_interface_that_is_up(monkeypatch):
         raise OSError
 
     monkeypatch.setattr(domain.fcntl, "ioctl", unknown)
-    domain.require_loopback()  # the loopback interface has another name here
+    domain.require_loopback()  # in this test the loopback interface has another name
 
 
 # ---- discovery ----

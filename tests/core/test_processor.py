@@ -66,25 +66,25 @@ def test_every_thread_stays_until_messages_take_long_and_returns(allowed):
 
     work, processor = placed(1)
     own, everywhere = {frozenset({allowed[1 % len(allowed)]})}, {frozenset(allowed)}
-    work.time += 100 * SHORT  # time of the start, before any message
+    work.time += 100 * SHORT  # time used before the first message
     processor.step()
-    work.more(1, 50 * SHORT)  # nor are those that come with it judged
+    work.more(1, 50 * SHORT)  # the first samples include the start and are not judged
     processor.step()
     seen["start"] = where()
     work.more(100, SHORT // 2)
     processor.step()
     seen["short"] = where()
     work.more(3, 2 * SHORT)
-    processor.step()  # too few samples for a decision
+    processor.step()  # too few samples to decide
     seen["few"] = where()
     work.more(1, LONG)
     processor.step()
     seen["long"] = where()
     work.time += 2 * LONG
-    processor.step()  # the rig is held, so there is no measurement
+    processor.step()  # a held rig is not measured
     seen["held"] = where()
     work.more(10 * ENOUGH, SHORT // 2)
-    processor.step()  # includes its work while it was held
+    processor.step()  # these samples include work while the rig was held
     seen["after"] = where()
     work.more(ENOUGH, SHORT // 2)
     processor.step()
@@ -145,10 +145,10 @@ def other(number, **entry):
         ({}, ["together"] * 2),
         (other(1), ["together"] * 2 + ["beside"]),
         (other(1) | other(2), ["together"] * 2 + ["beside"] * 2),
-        # more work than the second processor can do in the meantime
+        # Two followers exceed what the second processor can do during a tick of the plant.
         (other(1) | other(2) | other(3), ["anywhere"] * 5),
-        ({"reference": SOURCE}, ["anywhere"] * 3),  # works while the plant does
-        (other(1, external=True), ["anywhere"] * 2),  # the topics that an external node reads are unknown
+        ({"reference": SOURCE}, ["anywhere"] * 3),  # the source works at the same time as the plant
+        (other(1, external=True), ["anywhere"] * 2),  # it is unknown what an external node subscribes to
     ],
 )
 def test_a_plant_and_its_controller_share_a_processor_and_followers_run_beside_them(more, places):

@@ -100,7 +100,8 @@ def test_an_impure_law_is_named_with_node_output_and_time(habit: Any, as_state: 
     with pytest.raises(RunError, match=rf"bad: the tick at t = 0 s, computed twice .* gives {what}; ") as result:
         check_pure(rig)
     assert result.value.node == "bad"
-    with pytest.raises(RunError, match=r"computed twice|in place"):  # `check` and the tests of a new package
+    # `check` and the generated tests of a new package run thorough checks.
+    with pytest.raises(RunError, match=r"computed twice|in place"):
         simulate(rig, thorough=True)
 
 

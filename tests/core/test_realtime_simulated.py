@@ -118,7 +118,7 @@ def test_acknowledgements_that_no_node_can_have_sent_are_refused():
 
 def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_and_counted():
     def late(topic, writer, reader):
-        return 9 * MS if topic == "/lag/reference" else MS // 10  # the period is 10 ms
+        return 9 * MS if topic == "/lag/reference" else MS // 10  # each message is 9 ms late, of a period of 10 ms
 
     rig = basic()
     run = SimulatedRig(rig, World(late), "realtime", patience=0.5)
@@ -133,9 +133,9 @@ def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_an
         for s in ("state/x/position", "reference/x/position", "command/u/effort")
     )
     assert list(u)[:40] == list(range(40))
-    assert u[0] == 2.0 * (r[0] - x[0])  # before the first reference there is nothing to answer with
+    assert u[0] == 2.0 * (r[0] - x[0])  # before the first reference the controller cannot answer
     for k in range(1, 50):
-        assert u[k] == 2.0 * (r[k - 1] - x[k])  # the reference of the tick before
+        assert u[k] == 2.0 * (r[k - 1] - x[k])  # the late reference counts for the next tick
 
 
 def test_with_a_longer_time_limit_the_late_reference_is_waited_for():
@@ -286,7 +286,7 @@ def test_a_ready_node_reports_it_ten_times_a_second_until_the_start_once_all_its
     world.run(begun + 1_900 * MS)
     assert not any(d.absent for name, d in departures.items() if name != starter)
     world.run(begun + 2_400 * MS)
-    often = [*range(1_000, 2_001, 100)]  # looks are 20 ms apart
+    often = [*range(1_000, 2_001, 100)]  # repeated at each fifth check, and checks are 20 ms apart
     assert messages == {name: [] if name == starter else often for name in departures}
 
 
@@ -443,7 +443,7 @@ def beside_a_dead_law():
     world.run(run.epoch)
     assert speak(0, 1000, every=2) == (1.0,)
     world.run(run.epoch + 3000 * MS)
-    world.match()  # the second is discovered, and the loss of the first is not yet reported
+    world.match()  # the second publisher is discovered before the loss of the first is reported
     assert row.publishers == 2
     return run, speak
 
@@ -457,12 +457,13 @@ def test_the_replacement_of_a_killed_controller_is_accepted_after_a_long_silence
     text = "of 2 publishers only one has published for 1 s: accepted"
     assert run.adapters["plant"].step.reports["rivals lag/command"][1:] == (text, 1)
     refused = row.refused
-    row.matched(1)  # its lease is over
+    row.matched(1)  # the lease of the first publisher has expired
     run.adapters["plant"].drive.on_matched(row)
     assert (speak(1, 6000), row.refused) == ((2.0,), refused)
 
 
-@pytest.mark.parametrize("at", [3500, 4500, 9000])  # before it is believed; it has sent fewer, and more
+# Before the new publisher is accepted, and with fewer or more messages than the dead one.
+@pytest.mark.parametrize("at", [3500, 4500, 9000])
 def test_neither_of_two_publishing_controllers_is_ever_accepted(beside_a_dead_law, at):
     """The first one was stopped, not killed: at its first message the other one is no longer accepted, either."""
     run, speak = beside_a_dead_law
@@ -486,7 +487,7 @@ def test_a_controller_far_behind_drops_messages_older_than_the_window_and_report
     gain = run.adapters["gain"]
     for reader in [r for r in world.readers if r.node.name == "gain" and r.topic == "/lag/reference"]:
         accept = reader.receive
-        reader.receive = lambda data: None  # ticks begin, and wait
+        reader.receive = lambda data: None  # the message never arrives, so the tick waits
     gain.drive._answering._patience = 3600 * SECOND
     world.run(world.now + 30 * MS)
     gain.drive._answering._deadline.cancel()

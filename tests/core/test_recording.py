@@ -17,7 +17,7 @@ from softrig_core.wire.recording import ShardTail, ShardWriter, Topic, read_shar
 from softrig_core.wire.shards import Shards
 from softrig_core.wire.signals import full_name, short_name, topic_of
 
-PORTS = {  # two that may come as numbers, one of which counts its messages, a flag among them, and one of bytes only
+PORTS = {  # two topics that may be recorded as numbers (one of them numbered), a flag, and one recorded as bytes only
     "rig/state": joint_state("a", "rig/state", ["x", "y"], position="m"),
     "rig/rows": array("b", "rig/rows", {"row": 2}, "V"),
     "rig/stop": button("c", "rig/stop"),
@@ -63,7 +63,7 @@ def drawn(seed, turns):
         t += int(draw.integers(0, 3))
         what = draw.choice(["row", "rows", "add", "note"], p=[0.4, 0.2, 0.25, 0.15])
         values = draw.normal(size=SIZE)
-        values[-1] = draw.integers(0, 2)  # the flag
+        values[-1] = draw.integers(0, 2)  # the value of the flag
         if what == "rows":
             n = int(draw.integers(1, 5))
             yield what, t, np.arange(t, t + n), np.tile(values, (n, 1))
@@ -159,7 +159,7 @@ def test_shards_of_a_run_in_process_are_the_same_in_memory_and_on_the_disk(seed,
             holds(shards.recording(), plain.all())
     recording.release()
     assert not (tmp_path / "log").exists()
-    holds(recording, plain.all())  # the files are removed but still open
+    holds(recording, plain.all())  # the open files are still readable although their names are removed
 
 
 def test_even_times_are_computed_and_others_are_read(tmp_path):
@@ -189,7 +189,7 @@ def test_columns_on_the_disk_are_not_read_into_memory(tmp_path, monkeypatch):
         assert is_long(x)
         assert t.tolist() == (np.arange(9) / 1e9).tolist()
         assert x.tolist() == (values[:, k] != 0.0 if name.startswith("rig/stop") else values[:, k]).tolist()
-    # another process receives the numbers instead of the file
+    # Another process gets the numbers, not the file.
     assert pickle.loads(pickle.dumps(signals.recording)).topics == signals.recording.topics
 
 
@@ -211,7 +211,7 @@ def test_numbers_stay_numbers_until_bytes_are_needed():
     assert [part.times.tolist() for part in topic.before(21).parts()] == [[0, 10, 20]]
     assert topic.before(0).parts() == ()
     assert topic.times == [0, 10, 20, 30, 40, 50]
-    assert topic.columns() is whole  # times alone take nothing away
+    assert topic.columns() is whole  # reading the times does not convert the columns
     topic.add_columns(Columns(np.array([60]), np.array([[1.0, 2.0]]), LAYOUTS[0]))
     assert topic.columns().times.tolist() == [0, 10, 20, 30, 40, 50, 60] == topic.times
     assert len(topic.data) == 7
@@ -360,7 +360,7 @@ def test_a_growing_shard_is_read_as_it_is_written(limit, tmp_path, monkeypatch):
     recording, tail = Recording(TOPICS), ShardTail(growing)
     assert not tail.read(recording)  # the file does not exist yet
     growing.write_bytes(whole[:head])
-    monkeypatch.setattr(ShardTail, "LIMIT", max(limit, head + 1))  # the head is read as a whole
+    monkeypatch.setattr(ShardTail, "LIMIT", max(limit, head + 1))  # the head of a shard is read as a whole
     assert not tail.read(recording)
     monkeypatch.setattr(ShardTail, "LIMIT", limit)
     for size in range(head, len(whole) + 1, 41):
@@ -382,10 +382,10 @@ def test_a_shard_reports_whether_there_may_be_more(tmp_path, monkeypatch):
     path = tmp_path / "node.shard"
     writer = ShardWriter(path, TOPICS[3:])
     for k in range(9):
-        writer.add(0, k, b"12345678")  # 22 bytes each
+        writer.add(0, k, b"12345678")  # 22 bytes for each message
     writer.close()
     recording, tail = Recording(TOPICS), ShardTail(path)
-    assert not tail.read(recording)  # everything in one read
+    assert not tail.read(recording)  # one read returned everything
     writer = ShardWriter(path, TOPICS[3:])
     for k in range(9):
         writer.add(0, k, b"12345678")
@@ -414,7 +414,7 @@ def test_a_shard_is_written_to_the_disk_as_soon_as_it_must_be(tmp_path):
     writer.add(3, 1, b"1")
     assert grown() == 15
     writer.add(3, 2, bytes(4096 - 14))
-    assert grown() == 0  # the growth equals the limit
+    assert grown() == 0  # the growth is exactly the limit
     writer.add(3, 3, b"")
     assert grown() == 4096 + 14
     writer.add_row(4, [0.0] * SIZE)
@@ -444,7 +444,7 @@ def test_topics_of_a_shard_are_below_the_namespace_of_its_node(tmp_path):
     assert shard_topics(path) == {"a/said": "std_msgs/msg/Float64", "a/b/more": "std_msgs/msg/Float64"}
     empty.write_bytes(path.read_bytes()[:30])
     assert shard_topics(empty) == {}
-    empty.write_bytes(b"softrig shard 1\n" + path.read_bytes()[16:])  # a shard of another version
+    empty.write_bytes(b"softrig shard 1\n" + path.read_bytes()[16:])  # a shard of another version is ignored
     assert shard_topics(empty) == {}
     both = read_shards([empty, none, path])
     assert signals(both) == {"a/said": [], "a/b/more": [(5, b"x")], EVENTS: [(6, b"y")]}
@@ -455,7 +455,7 @@ def test_a_name_of_a_signal_may_leave_out_its_only_field():
     known = ("a/state/x/position", "a/state/y/position", "a/state/y/velocity", "a/rows/0,1", "single")
     for name, whole in (
         ("a/state/x", "a/state/x/position"),
-        ("a/state/y", "a/state/y"),  # two fields: the name is left as it is
+        ("a/state/y", "a/state/y"),  # two fields match, so the name stays
         ("a/state/x/position", "a/state/x/position"),
         ("a/rows", "a/rows/0,1"),
         ("a/state", "a/state"),
@@ -508,7 +508,7 @@ def test_signals_from_numbers_and_from_bytes_are_the_same():
         assert list(reported) == [f"{topic}/{label}" for topic, own in labels.items() for label in own]
         assert len(reported) == 5
         assert reported.table("/clock").t.size == 0
-    assert recording.topics["rig/state"].columns() is not None  # no bytes have been requested
+    assert recording.topics["rig/state"].columns() is not None  # reading signals does not encode bytes
     assert reported["rig/state/x"] is reported["rig/state/x"]
 
 
@@ -531,14 +531,14 @@ def test_stamps_that_are_not_the_ticks_and_messages_of_several_forms_are_read_on
         state.data.append(Layout(state.msgtype, "", names, {"position": 2}).encode(stamp * 10**9 + 7, (1.0, 2.0)))
     table = Signals(recording, 10**9).table("rig/state")
     assert (table.t.tolist(), table.stamp.tolist()) == ([4.0, 5.0], [2.000000007, 3.000000007])
-    state.times.append(7 * 10**9)  # a state in another frame and of another length
+    state.times.append(7 * 10**9)  # a joint state with another frame and more joints
     state.data.append(Layout(state.msgtype, "world", "xy", {"position": 2}).encode(10**10, (5.0, 6.0)))
     table = Signals(recording, 10**9).table("rig/state")
     assert table.stamp.tolist() == [2.000000007, 3.000000007, 9.0]
     assert [x.tolist() for x in table.columns.values()] == [[1.0, 1.0, 5.0], [2.0, 2.0, 6.0]]
     state.times.append(8 * 10**9)
     state.data.append(Layout(state.msgtype, "", "yx", {"position": 2}).encode(0, (5.0, 6.0)))
-    table = Signals(recording, 10**9).table("rig/state")  # by name
+    table = Signals(recording, 10**9).table("rig/state")  # found by the name of the joint
     assert {k: x.tolist() for k, x in table.columns.items()} == {
         "x/position": [1.0, 1.0, 5.0, 6.0],
         "y/position": [2.0, 2.0, 6.0, 5.0],
@@ -553,7 +553,7 @@ def test_stamps_that_are_not_the_ticks_and_messages_of_several_forms_are_read_on
         "0": [1.0, 2.0],
         "1": [pytest.approx(np.nan, nan_ok=True), 2.0],
     }
-    assert table.stamp.tolist() == [-1.0] * 3  # these messages have no stamp
+    assert table.stamp.tolist() == [-1.0] * 3
     for name, text in (
         ("rig/none/x", "no topic for signal 'rig/none/x'; recorded are rig/state, rig/rows, rig/stop, /clock"),
         ("rig/rows/7", "no signal '7' on rig/rows; it has 0, 1"),
@@ -563,4 +563,4 @@ def test_stamps_that_are_not_the_ticks_and_messages_of_several_forms_are_read_on
         assert error.value.args[0] == text
     with pytest.raises(KeyError, match="no topic 'x'; recorded are rig/state, rig/rows, rig/stop, /clock"):
         Signals(recording).table("x")
-    assert struct.calcsize("<qHI") == 14  # the head of a record above
+    assert struct.calcsize("<qHI") == 14  # size of the head of a record

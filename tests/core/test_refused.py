@@ -86,7 +86,7 @@ def test_every_node_still_receives_after_a_message_from_the_future(system):
 
 def test_every_observer_can_be_asked_before_its_first_tick():
     """Its node answers /diagnostics while it waits for others."""
-    asked = set()  # a path may hold a package twice
+    asked = set()  # a search path may list a package twice
     for distribution in importlib.metadata.distributions():
         package = distribution.metadata["Name"]
         for point in distribution.entry_points if package.startswith("softrig") else ():

@@ -50,7 +50,7 @@ def pressed(folder, mode="lockstep", delay=None, faults=""):
             if reader.topic == "/axis/reference":
                 reader.receive(data)
 
-    # the simulated lockstep begins after 20 ms and goes as fast as messages do
+    # The simulated lockstep starts after 20 ms and then runs as fast as its messages.
     moments = (500 * MS, 503 * MS, 505 * MS) if mode == "realtime" else (20_030_000, 20_150_000, 20_250_000)
     people = (partial(law.buttons.press, button.port), partial(send, 12.5), partial(law.step.set, {"kp": 50.0}))
     for moment, act in zip(moments, people, strict=True):
@@ -90,9 +90,9 @@ def test_buttons_and_external_messages_are_repeated(mode, tmp_path, capsys):
     assert status == 0
     assert "alone number for number: " in text
     again = read_bag(tmp_path / "again" / "bag")
-    assert differences(first, again) == ["axis/reference"]  # its publisher sent it without a stamp
+    assert differences(first, again) == ["axis/reference"]  # the publisher sent this message without a stamp
     assert again.topics["axis/controller_state"].data[-1] != again.topics["axis/controller_state"].data[0]
-    # the repetition of the repetition
+    # Repeat the repetition.
     capsys.readouterr()
     assert main(["run", "--like", str(tmp_path / "again"), "--mode", "inprocess", "--no-plots", "--out",
                  str(tmp_path / "third")]) == 0  # fmt: skip
@@ -108,7 +108,7 @@ def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, fa
     message and a gain in between, and faults on what the law measures, one of which is switched on by its button.
     """
     rng = random.Random(seed)
-    longest = 10 * MS // (7 if faults else 5)  # from the plant by way of the law to the figures within a period
+    longest = 10 * MS // (7 if faults else 5)  # so that plant, controller and figures answer within one period
     first = pressed(tmp_path / "first", "realtime", lambda *_: rng.randrange(1_000, longest), faults)
     metrics = json.loads((tmp_path / "first" / "metrics.json").read_text())
     assert [c["node"] for c in metrics["changes"]] == ["fsfb_controller", *(["offset"] if faults else [])]
@@ -122,7 +122,7 @@ def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, fa
 
 
 def test_a_run_in_real_time_that_was_late_reports_it_and_the_differences(tmp_path, capsys):
-    rng = random.Random(0)  # one message in five arrives after the next tick
+    rng = random.Random(0)  # one message in five arrives only after the next tick
     pressed(tmp_path / "first", "realtime", lambda *_: rng.choice([MS, MS, MS, MS, 15 * MS]))
     status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 0
@@ -136,7 +136,7 @@ def test_a_repetition_that_differs_names_the_place(tmp_path, capsys, monkeypatch
     pressed(tmp_path / "first")
     monkeypatch.setattr(
         "softrig_bringup.options.like.from_outside", lambda rig, recording: []
-    )  # the repetition does not know which node was external
+    )  # the repetition is not told which node was external
     status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 1
     assert "differs from" in text

@@ -13,7 +13,7 @@ PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 def words(text):
     """A text as a person reads it, with inserted values as formulas in braces."""
     if isinstance(text, ast.JoinedStr):
-        return ast.unparse(text)[2:-1]  # without f and its quotes
+        return ast.unparse(text)[2:-1]  # without the f and the quotes
     return text.value if isinstance(text, ast.Constant) else f"{{{ast.unparse(text)}}}"
 
 

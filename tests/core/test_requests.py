@@ -75,7 +75,7 @@ def test_requests_of_all_services_are_answered_in_order_of_arrival(monkeypatch):
     assert world.requests.serve()
     assert [name for name, _ in world.log] == order
     world.clock.ns += SECOND
-    assert not world.requests.serve()  # nobody has called for a while
+    assert not world.requests.serve()  # there was no call for a while
 
 
 def test_a_resume_after_more_pauses_than_a_queue_holds_is_the_last(monkeypatch):
@@ -125,7 +125,7 @@ def test_services_get_a_fifth_of_the_time_and_a_waiting_set_is_refused(monkeypat
     world.offer("set")
     for _ in range(100):
         world.ask("set")
-    for _ in range(1000):  # 10 s
+    for _ in range(1000):  # 10 s in steps of 10 ms
         world.clock.ns += 10 * MS
         world.requests.serve()
         world.queues["set"].clear()
@@ -144,7 +144,7 @@ def test_services_get_a_fifth_of_the_time_and_a_waiting_set_is_refused(monkeypat
     world.requests.serve()
     assert len(world.log) >= 50
     assert all(name.startswith("set refused for ") for name, _ in world.log)
-    world.paused = True  # a paused rig has no ticks to share the time with
+    world.paused = True  # a paused rig has no ticks for which a call would have to wait
     world.ask("set")
     world.requests.serve()
     assert world.log[-1] == ("set", b"a")
@@ -159,7 +159,7 @@ def test_a_check_that_waits_for_the_lock_of_a_reader_counts_as_well(monkeypatch)
     for _ in range(10):
         world.clock.ns += 20 * MS
         world.requests.serve()
-    assert 3 <= len(looks) <= 4  # 2 s, and what comes back in the meantime
+    assert 3 <= len(looks) <= 4  # checks of 0.7 s each stop after about 2 s
 
 
 def test_an_answer_waits_for_its_client_and_is_dropped_if_it_has_left(monkeypatch):
@@ -180,8 +180,8 @@ def test_an_answer_waits_for_its_client_and_is_dropped_if_it_has_left(monkeypatc
         for _ in range(100):
             world.ask("list", client=b"gone")
         world.requests.serve()
-    assert (len(world.log), world.dropped) == (1, 101)  # two hundred may wait
-    world.ask("list", client=b"")  # rclpy is another one: it is not known
+    assert (len(world.log), world.dropped) == (1, 101)  # at most two hundred calls wait
+    world.ask("list", client=b"")  # another version of rclpy may not report the client
     world.requests.serve()
     assert world.log[1:] == [("list", b"")]
 

@@ -77,7 +77,7 @@ def test_units_of_both_sides_must_fit_and_several_need_a_scale():
         figures_of(wired("always state <= command"))
     with pytest.raises(ScenarioError, match=r"requirement it: .*a pure number' beside 'N'"):
         figures_of(wired("always sin(state) <= command"))
-    figures_of(wired("always command <= 10 * sin(level)"))  # a number may stand for anything
+    figures_of(wired("always command <= 10 * sin(level)"))  # the unit of a constant is free
     both = "always (state <= 1 and command <= 20)"
     with pytest.raises(ScenarioError, match=r"in N, m.*what counts as one"):
         figures_of(wired(both))
@@ -141,16 +141,17 @@ def test_the_decided_part_of_a_record_that_ends_early_is_judged():
     result = figure_of(rig, simulate(rig).signals)
     assert (result.value, result.passed) == (pytest.approx(-worst, abs=1e-15), True)
     sure_of_half = rig.scenario.model_copy(update={"expect": {"it": Expectation(at_least=0.0, at_most=1.0)}})
-    assert not figure_of(rig_of(sure_of_half), run.signals).passed  # the value may still increase
+    # The value may still increase, so the verdict is open.
+    assert not figure_of(rig_of(sure_of_half), run.signals).passed
 
 
 @pytest.mark.parametrize(
     ("formula", "settled"),
     [
-        ("always[0, inf] state <= 0.3", True),  # violated, and stays so
+        ("always[0, inf] state <= 0.3", True),  # a violation is final
         ("always[0, inf] state <= 100", False),
         ("always[0, 0.5] state <= 100", True),
-        ("eventually[0, inf] state >= 100", False),  # may come
+        ("eventually[0, inf] state >= 100", False),  # the value may still reach 100
         ("eventually[0, inf] state >= 0.3", True),
         ("eventually[0, 0.5] state >= 100", True),
     ],
@@ -160,7 +161,7 @@ def test_a_verdict_during_a_run_is_settled_if_nothing_later_can_change_it(formul
     signals = simulate(rig).signals
     (result,) = (r for r in evaluate(rig, signals, under_way=True) if r.name == "it")
     assert result.settled == settled
-    assert not figure_of(rig, signals).settled  # of a finished run this is not asked
+    assert not figure_of(rig, signals).settled  # a finished run has nothing left to settle
 
 
 @pytest.mark.parametrize("live", [False, True])
@@ -176,7 +177,7 @@ def test_the_last_window_hides_no_violation_beside_it(live):
     assert result.open_from_s == t[still[0]]
     if live:
         upper = run.signals["requirement/it/upper/position"].x
-        assert upper[-1] == 0.3 - x[:-1].max()  # it does not include the last instant
+        assert upper[-1] == 0.3 - x[:-1].max()  # the window ends before the last instant
 
 
 def test_undefined_arithmetic_is_not_judged_in_any_requirement():
@@ -188,7 +189,7 @@ def test_undefined_arithmetic_is_not_judged_in_any_requirement():
         assert not run.signals["requirement/it/decided/position"].x.any()
     guarded = wired("always (command > 0 -> ln(command / level) <= 100)", scale={"N": 1.0, "": 1.0})
     run = simulate(guarded)
-    assert run.signals["lag/command/u/effort"].x.min() == 0.0  # undefined there, but not asked
+    assert run.signals["lag/command/u/effort"].x.min() == 0.0  # undefined at 0, where the condition is false
     assert run.results[0].passed
 
 
@@ -208,7 +209,7 @@ def test_an_invalid_number_leaves_only_its_own_requirement_not_judged(live):
     assert (results["its"].value, results["its"].passed) == (None, False)
     assert results["its"].error.startswith("not judged: undefined at t = 0.5 s")
     assert results["other"].passed
-    if live:  # its node is sent none of them, and claims nothing of these ticks
+    if live:  # the node that judges gets no such message, so it decides nothing for these ticks
         assert run.signals["requirement/its/lower/position"].x.max() < 0.0
         ends = [run.signals[f"requirement/its/{bound}/position"].x[-1] for bound in ("lower", "upper")]
         assert ends[0] < 0.0 <= ends[1]

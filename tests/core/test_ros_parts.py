@@ -172,12 +172,14 @@ def test_an_observer_publishes_its_figures_markers_and_text_to_subscribers():
     assert (kept.depth, kept.durability.name) == (1, "TRANSIENT_LOCAL")
     for _ in range(8):
         timer.call()
-    assert not any(node.topics[t] for t in ("/diagnostics", "~/metrics", "~/markers"))  # there is no subscriber
+    # Nothing is published without a subscriber.
+    assert not any(node.topics[t] for t in ("/diagnostics", "~/metrics", "~/markers"))
     node.readers |= {"/diagnostics": 1, "~/metrics": 1, "~/markers": 2}
     for k in range(8):
         timer.call()
-        assert len(node.topics["/diagnostics"]) == len(node.topics["~/metrics"]) == (k + 1) // 4  # once a second
-    assert node.topics["~/markers"] == []  # nothing is published before the node runs
+        # Published once a second.
+        assert len(node.topics["/diagnostics"]) == len(node.topics["~/metrics"]) == (k + 1) // 4
+    assert node.topics["~/markers"] == []  # the node does not run yet, so nothing is published
     adapter.state = "running"
     timer.call()
     (array,) = node.topics["~/markers"]
@@ -227,7 +229,7 @@ def test_the_services_and_topics_of_a_node_follow_from_its_block_and_its_rig():
     assert (answer.success, answer.message) == (False, "this node has not begun")
     assert shown._executor is None
     linked, *_ = face(Lag(), links={"base": "0.01", "inputs": {"kick": {"period": "0.01", "node": "other"}}})
-    assert linked.services == {}  # the button is another node's
+    assert linked.services == {}  # another node has the button
     assert face(Lag(), "realtime")[3]._executor is not None
 
 
@@ -274,7 +276,7 @@ def test_moving_frames_are_published_once_a_tick_in_the_form_of_ros():
     move.call()
     adapter.state = "running"
     move.call()
-    assert node.topics["/tf"] == []  # it has no subscriber
+    assert node.topics["/tf"] == []  # nothing is published without a subscriber
     node.readers["/tf"] = 1
     for _ in range(2):
         move.call()
@@ -289,7 +291,7 @@ def test_moving_frames_are_published_once_a_tick_in_the_form_of_ros():
         bytes(STORE.serialize_cdr(STORE.deserialize_cdr(two, "tf2_msgs/msg/TFMessage"), "tf2_msgs/msg/TFMessage"))
         == two
     )
-    for options in ({"frames": False}, {"links": {"base": "0.01"}}):  # there is no other node
+    for options in ({"frames": False}, {"links": {"base": "0.01"}}):  # frames are off, or the rig has other nodes
         assert "/tf_static" not in face(Arm(), **options)[0].topics
     assert "/tf_static" in face(Arm(), links={"base": "0.01", "public": True})[0].topics
 
@@ -307,13 +309,13 @@ def test_sets_are_applied_at_the_next_tick_all_or_none():
         result = set_them([Parameter(name.replace("__", "."), value=value) for name, value in values.items()])
         return result.successful, result.reason
 
-    assert set_from_outside(run__seed=3) == (True, "")  # a parameter of the node and not of its block
+    assert set_from_outside(run__seed=3) == (True, "")  # this parameter belongs to the node, not to its block
     assert set_from_outside(run__pace=2.0) == (
         False,
         "run.pace is that of the node of the clock, in lockstep, once it has begun",
     )
     done, reason = set_from_outside(gain=3.0)
-    assert (done, "gain" in reason) == (False, True)  # may not change
+    assert (done, "gain" in reason) == (False, True)  # this parameter is not live
     assert not adapter.step.changes
     adapter.step.set = lambda values: [*values] if values.get("gain") == 4.0 else []
     assert set_from_outside(gain=5.0) == (True, "")
@@ -360,7 +362,7 @@ class Serving(ServingNode):
 def test_parameters_set_together_are_applied_together_or_one_by_one():
     node = Serving(k=1.0, n=3, text="a", row=[1.0, 2.0], whole=[1, 2], words=["a"])
     assert node.ask(k=2.0, n=4) == ([True, True], ["", ""], [{"k": 2.0, "n": 4}])
-    assert node.ask(k=1.0) == ([True], [""], [])  # it already has this value
+    assert node.ask(k=1.0) == ([True], [""], [])  # the parameter has this value already
     node.refuses = ("n",)
     assert node.ask(k=2.0, n=4) == ([True, False], ["", "refused"], [{"k": 2.0, "n": 4}, {"k": 2.0}, {"n": 4}])
     assert node.ask(n=4) == ([False], ["refused"], [{"n": 4}])
@@ -386,7 +388,7 @@ def test_parameters_set_together_are_applied_together_or_one_by_one():
         ]
     node.remark = "of a set before"
     assert node.ask(k=7.0)[1] == [""]
-    assert node.ask(empty="None")[2] == []  # as `ros2 param dump` says of one that has no value
+    assert node.ask(empty="None")[2] == []  # `ros2 param dump` writes None for a parameter without a value
     assert node.ask(k="many") == ([False], ["parameter k = 'many': expected a number"], [])
     assert node.ask(n=4.0)[2] == [{"n": 4}]
     assert node.ask(n=4.5) == ([False], ["parameter n = 4.5: expected a whole number"], [])
@@ -634,7 +636,7 @@ def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after
     assert received[2:] == [("garbage", True), "processor"]
     assert one.log == ["begin", "report_writers"]
     middleware.publisher("more", "std_msgs/msg/Float64", received.append)
-    assert one.log[2:] == ["end", "begin"]  # nothing is reported while an endpoint is created
+    assert one.log[2:] == ["end", "begin"]  # reports pause while an endpoint is created
     middleware.close()
     assert one.log[4:] == ["end"]
     assert (node._subscriptions, node.waitables) == ([own, first], [*own.event_handlers, *first.event_handlers])
@@ -815,7 +817,7 @@ def test_a_container_runs_until_all_nodes_have_ended_or_one_has_failed_for_a_sec
     assert failed.run()
     assert failed.now == 10**9 + 20_000_000 + 1_020_000_000
     assert {*failed.served} == {(100_000_000, 0)}
-    assert {*failed.spun} == {0.0}  # the loop does not sleep when a timer is this near
+    assert {*failed.spun} == {0.0}  # the next timer is so close that the loop does not sleep
     stopped = Turns(monkeypatch)
     stopped.rest = 300_002
     stopped.script = {100_000_000: lambda: setattr(stopped, "ok", False)}
@@ -837,7 +839,8 @@ def test_a_container_sends_pending_messages_and_waits_for_their_acknowledgement(
         (KeyboardInterrupt(), ["a", "b", "loop", "stopped"]),
         (containers.ExternalShutdownException(), ["a", "b", "loop", "stopped"]),
         (ValueError("no"), ["a", "b", "loop", "broke no", "ends"]),
-        (OSError("late"), ["a", "b", "loop", "stopped"]),  # a signal has shut the context down
+        # The error is that of a context which a signal has shut down.
+        (OSError("late"), ["a", "b", "loop", "stopped"]),
     ):
 
         def loop(executor, happens=happens):
@@ -958,7 +961,7 @@ def test_a_set_or_a_press_is_answered_after_the_node_and_a_silent_node_is_named(
     for number_ in (8, 9):
         asked.remote.ask({"id": number_, "node": "plant", "call": "kick"})
         assert asked.look() == (number_, True, "kick pressed")
-    assert asked.calls[2:] == ["plant/kick", "press", "press"]  # one client for each service
+    assert asked.calls[2:] == ["plant/kick", "press", "press"]  # one client serves all calls of a service
     asked.remote.ask({"id": 1, "node": "law", "set": {"k": 1.0}})
     asked.future = None
     assert asked.look() is None
@@ -1039,14 +1042,15 @@ def test_messages_are_passed_on_unchanged_whatever_their_length(monkeypatch):
     works = []
     one = arrival.Arrival(rcl, subscription, received.append, matched.append, works.append)
     one.begin()
-    messages = [b"a", b"", bytes(range(256)) * 16, bytes(range(256)) * 17, b"end"]  # 4096 bytes, and more
+    # One message fills the buffer of 4096 bytes, the next exceeds it.
+    messages = [b"a", b"", bytes(range(256)) * 16, bytes(range(256)) * 17, b"end"]
     rcl.queue += messages
     for count in (2, 0, 3):
         rcl.call(None, count)
-    assert (len(works), len(ensured)) == (5, 1)  # once a thread
+    assert (len(works), len(ensured)) == (5, 1)  # checked once in each thread
     for work in works:
         work()
-    works[0]()  # a newer request has replaced this one, so it does nothing
+    works[0]()  # a newer request has replaced this one, so the call has no effect
     assert (received, rcl.resets) == (messages, 0)
     for writers, reported in ((0, []), (2, [2]), (2, [2]), (1, [2, 1])):
         rcl.writers = writers
@@ -1079,7 +1083,7 @@ def test_messages_are_passed_on_unchanged_whatever_their_length(monkeypatch):
     with pytest.raises(ros.RCLError):
         works[-1]()
     up[0] = False
-    works[-1]()  # a signal has shut the context down
+    works[-1]()  # the context was shut down by a signal
 
 
 def text(sequence):

@@ -88,7 +88,7 @@ def test_invalid_or_excessive_yaml_is_refused_as_expected():
     for name, text in cases.items():
         result = outcome(read_yaml, text, "here.yaml")
         if name in ("no end", "an odd character", "two documents", "a long line", "an alias of nothing"):
-            result = result.partition("YAML: ")[0]  # the words of the library
+            result = result.partition("YAML: ")[0]  # drop the words of the YAML library
         lines.append(f"{name}: {result if len(result) < 300 else 'much'}")
     more = cases["as many values as may be"][:-2] + ",1]\n"
     lines.append(f"one more: {outcome(read_yaml, more, 'here.yaml')}")
@@ -132,7 +132,8 @@ def test_plain_data_is_read_back_as_written(seed):
         assert read_yaml(json.dumps(wanted), "x") == wanted
 
 
-# what goes over what --------------------------------------------------------------------------------------------------
+# what overrides what
+# --------------------------------------------------------------------------------------------------
 
 
 def flat(data, above=()):
@@ -430,7 +431,7 @@ def test_files_and_their_variants_are_found(folder):
     low = resolve("child_low", folder / "one/child.yaml")
     assert (low["title"], low["duration"]) == ("F", 2.0)
     assert low["nodes"]["plant"]["parameters"] == {"gain": 5.0, "limit": 3.0, "file": str(folder / "one/beside.csv")}
-    assert resolve("more", folder / "two/more.yaml")["title"] == "V"  # found in the first folder that has it
+    assert resolve("more", folder / "two/more.yaml")["title"] == "V"  # the first folder with the file wins
     broken: list[ScenarioError] = []
     (folder / "one/broken.yaml").write_text("variants: {a b: {}}\n")
     assert "broken" not in {n for n in list_scenarios(broken) if n != "broken"}

@@ -85,10 +85,10 @@ def test_a_timer_may_be_moved_or_cancelled_at_any_time_and_has_at_least_a_micros
     assert (timer.due, timer.period) == (2000, 1000)
     other = exchange.timer(3000, lambda: timer.again(50_000), "node")
     assert exchange.serve(3500, 1 << 62) == 0
-    assert exchange.log == [("a", 2000)]  # at 3000 the other one was there before
+    assert exchange.log == [("a", 2000)]  # at 3000 the other timer comes first, as it was set earlier
     assert (timer.due, other.due) == (53_000, 6000)
     other.cancel()
-    assert exchange.serve(10_000_000) == 53_000 - exchange.t  # nothing else is due
+    assert exchange.serve(10_000_000) == 53_000 - exchange.t  # only the timer at 53,000 is left
 
 
 def test_posted_calls_are_made_in_order_and_never_nested(monkeypatch):
@@ -141,7 +141,7 @@ def test_the_time_until_the_next_due_call_is_reported_and_waited_for(monkeypatch
     exchange = Still(monkeypatch)
     exchange.timer(5000, partial(exchange.note, "t"), "node")
     assert exchange.serve(4999, 4999) == 5000
-    assert exchange.serve(4999, 5000) == 0  # it has waited until its time was over
+    assert exchange.serve(4999, 5000) == 0  # returns 0 if the whole time was spent waiting
     assert (exchange.t, exchange.log) == (5000, [])
     assert exchange.serve(5000, 0) == 5000
     assert exchange.log == [("t", 5000)]
@@ -150,9 +150,9 @@ def test_the_time_until_the_next_due_call_is_reported_and_waited_for(monkeypatch
 @pytest.mark.parametrize(
     ("due", "awake", "turns"),
     [
-        (100_000, 300_000, 7),  # the timer has priority, seven times
+        (100_000, 300_000, 7),  # no time is left: the timer has priority, for seven turns
         (150_000, 300_000, 7),
-        (150_001, 300_000, 0),  # there is time
+        (150_001, 300_000, 0),  # messages have time before the timer
         (100_000, 0, 0),
         (1000, 999, 0),
         (1000, 1000, 7),
@@ -265,7 +265,7 @@ def test_an_endpoint_counts_its_matches_and_an_input_forgets_its_number_when_tha
     end, joined = Input(joint_state("a", "t", ["x"], position="m")), []
     assert (end.publishers, end.outside, end.received_any, end.following) == (0, 0, False, None)
     assert (end.lost, end.late, end.overdue, end.refused, end.last_refusal) == (0, 0, 0, 0, "")
-    end.receive(b"")  # dropped
+    end.receive(b"")  # an empty message is dropped
     assert not end.received_any
     end.following = 7
     for count, following in ((0, 7), (2, None), (2, 8), (1, None)):
@@ -321,14 +321,14 @@ def test_an_acknowledgement_contains_its_tick_and_topics_and_is_read_from_any_no
     ):
         data = write(t, sent)
         assert parse(TICK, data).frame_id == " ".join(sent)
-        for _ in range(2):  # the second time from the cache
+        for _ in range(2):  # the second time the message is in the cache
             assert read(data) == (t, frozenset(sent))
     big = b"\0\0\0\0" + (5).to_bytes(4, "big") + (6).to_bytes(4, "big") + (2).to_bytes(4, "big") + b"a\0"
     assert read(big) == read(big) == (5_000_000_006, frozenset("a"))
     for bad in (b"", b"\0\1\0\0", write(5, ["abc"])[:-2]):
         with pytest.raises(Refused, match="std_msgs/msg/Header"):
             read(bad)
-    for k in range(100):  # the cache holds 64 messages; others are still parsed
+    for k in range(100):  # the cache holds 64 messages, and further ones are parsed
         assert read(write(k, [f"p{k}"])) == (k, frozenset([f"p{k}"]))
     assert len(read._known) == 64
     monkeypatch.setattr("softrig_nodes.seam.tick.parse", None)  # cached messages are not parsed
@@ -342,7 +342,7 @@ def test_a_number_takes_eight_bytes_after_a_message():
     for k in range(3):
         publish(10 + k, (float(k),))
     assert messages == [port.layout().encode(10 + k, (float(k),)) + bytes([k, 0, 0, 0, 0, 0, 0, 0]) for k in range(3)]
-    counts["u"] = 1  # the number from two messages ago: those messages are published again unchanged
+    counts["u"] = 1  # counting two messages back publishes them again unchanged
     publish(11, (1.0,))
     publish(12, (2.0,))
     assert messages[3:] == messages[1:3]
@@ -396,7 +396,7 @@ def test_a_solver_begins_a_tick_once_and_is_polled_until_its_answer_is_there(mon
         assert not part.finished(5)
     assert asked == [("begin", "first", 5, {"u": 1.0})]
     assert step.x == "begun"
-    assert timer.asked[2:] == [(2 * MS, 0)]  # the timer was started once
+    assert timer.asked[2:] == [(2 * MS, 0)]  # the timer is set once
     timer.call()
     assert (resumed, timer.now) == ([], (2 * MS, 0))
     block.is_ready = True
@@ -409,7 +409,7 @@ def test_a_solver_begins_a_tick_once_and_is_polled_until_its_answer_is_there(mon
     block.is_ready = False
     assert not part.finished(6)
     assert (asked[-1], step.x) == (("carry on", "begun", 6), "carried")
-    assert timer.now == (2 * MS, 0)  # it waits again
+    assert timer.now == (2 * MS, 0)  # the node waits again
 
 
 def test_a_solver_informs_its_peers_every_half_second_that_it_works(monkeypatch):
@@ -456,11 +456,11 @@ def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     hand.posted[-1]()
     assert turned == [1]
     hold.ask("pause")
-    assert len(hand.timers) == 1  # a timer already reports this
+    assert len(hand.timers) == 1  # this is reported already
     hold.ask("step", 3)
     hold.ask("resume")
     hold.ask("pause")
-    assert hold.holds(0)  # requested steps that were not executed are discarded
+    assert hold.holds(0)  # steps that were requested but not executed are dropped
 
 
 def test_a_pace_is_checked_a_hundred_times_a_second_until_there_is_none():
@@ -474,11 +474,11 @@ def test_a_pace_is_checked_a_hundred_times_a_second_until_there_is_none():
     assert hold.waits
     tells.call()
     assert len(hand.said[BUSY]) == 1
-    hand.time += 20 * MS  # 10 ms of the run
+    hand.time += 20 * MS  # 20 ms of wall time are 10 ms of the run
     styles.call()
     assert (turned, hold.waits) == ([1], False)
     styles.call()
-    assert turned == [1]  # no request waits
+    assert turned == [1]  # no request is left
     assert [hold.holds(t * MS) for t in (0, 5, 9, 10, 11)] == [False, False, False, True, True]
     assert hold.go_at(2.0)
     assert hold.pace == 2.0
@@ -502,7 +502,7 @@ def test_a_status_file_is_complete_whenever_it_is_read(tmp_path):
     assert json.loads(path.read_text()) == {"t": 1}
     with path.open() as before:
         file.write({"t": 2, "error": "ü"})
-        assert json.loads(before.read()) == {"t": 1}  # a reader that opened the file before keeps the old content
+        assert json.loads(before.read()) == {"t": 1}  # a reader that has opened the file keeps the old content
     assert json.loads(path.read_text()) == {"t": 2, "error": "ü"}
     assert os.listdir(tmp_path) == ["node.status"]
 
@@ -517,7 +517,7 @@ def test_a_status_file_is_replaced_if_names_cannot_be_exchanged(tmp_path, monkey
     monkeypatch.setattr(health, "_renameat2", lambda *names: asked.append(names) or 0)
     health.StatusFile(str(tmp_path / "a.status")).write({"t": 3})
     new, old = (os.fsencode(tmp_path / f"a.{end}") for end in ("new", "status"))
-    assert asked == [(-100, new, -100, old, 2)]  # AT_FDCWD and RENAME_EXCHANGE of Linux
+    assert asked == [(-100, new, -100, old, 2)]  # Linux's AT_FDCWD and RENAME_EXCHANGE
     assert os.listdir(tmp_path) == ["a.status"]
 
 
@@ -527,7 +527,7 @@ def test_the_median_the_hundredth_longest_and_the_longest_duration_are_reported(
         samples = list(range(1, n + 1))
         random.Random(n).shuffle(samples)
         text = health.percentiles("x", (s * MS for s in samples), 400 * MS)
-        middle = n // 2 + 1  # the upper one if the number is even
+        middle = n // 2 + 1  # for an even number, the upper of the two
         assert text == {"x_p50_ms": middle, "x_p99_ms": n * 99 // 100 + 1, "x_max_ms": 400.0}
 
 

@@ -151,7 +151,7 @@ def test_a_session_stores_a_state_every_few_ticks_and_half_of_them_if_there_are_
     for _ in range(LAST):
         session.step()
         seen.append(sorted(session._kept))
-    assert seen[0] == [0]  # twenty ticks, four states: each fifth
+    assert seen[0] == [0]  # with room for four states of twenty ticks, every fifth is kept
     assert seen[4] == [0, 5]
     assert seen[14] == [0, 5, 10, 15]
     assert seen[19] == [0, 10, 20]
@@ -242,7 +242,7 @@ def test_the_first_difference_of_two_runs_is_reported_for_up_to_three_topics_ear
     assert parted(one, recording(a=[(0, b"a"), (11, b"b")]), 1.0) == "a at t = 0.01 s"
 
 
-# ---- one member, fed by a recording ----
+# ---- a single node, fed by a recording ----
 
 
 def test_a_single_node_is_fed_with_the_messages_that_had_arrived_at_each_of_its_ticks():
@@ -260,7 +260,7 @@ def test_a_single_node_is_fed_with_the_messages_that_had_arrived_at_each_of_its_
         other.topics[lacking] = other.topics[lacking].since(1)
         with pytest.raises(RunError, match=f"^the recording of {lacking} begins after t = 0 s$"):
             feed(gain, 0, other)
-    late = in_process(rig)  # a message that is not there: the one before holds
+    late = in_process(rig)  # a missing message leaves the one before in effect
     topic = late.topics["lag/reference"]
     del topic.times[3], topic.data[3]
     messages = [parse(d) for d in feed(gain, 0, late).topics["lag/command"].data]
@@ -273,7 +273,7 @@ def parse(data):
     return COMMAND.layout().decode(data)[1][0]
 
 
-# ---- many answers at once ----
+# ---- many answers in one batch ----
 
 
 PORTS = [
@@ -327,7 +327,7 @@ def test_arrays_continue_with_the_numbers_of_the_step():
     keep = keeper(step, SimpleNamespace(add=lambda *m: kept.append(m)), [port], [0])
     for t in (1, 2):
         keep.send(t, ((1.0, 2.0),), ())
-    keep.send_all(np.array([3, 4]), np.array([[1.0, 2.0]] * 2), np.empty((2, 0), np.int64))  # one by one
+    keep.send_all(np.array([3, 4]), np.array([[1.0, 2.0]] * 2), np.empty((2, 0), np.int64))  # each answer alone
     assert [data for _, _, data in kept] == [port.layout().encode(n, (1.0, 2.0)) for n in (3, 4, 5, 6)]
 
 
@@ -336,7 +336,7 @@ def test_the_garbage_collector_runs_rarely_during_a_run_and_as_before_after_it()
     try:
         for threshold, during in ((700, YOUNG), (10**6, 10**6), (0, 0)):
             gc.set_threshold(threshold, 10, 9)
-            usual = gc.get_threshold()  # not every Python keeps all three
+            usual = gc.get_threshold()  # some versions of Python do not keep all three thresholds
             run_inprocess(wired(), 0, progress=lambda t: seen.append(gc.get_threshold()))
             assert set(seen) == {(during, *usual[1:])}
             assert gc.get_threshold() == usual

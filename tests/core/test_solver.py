@@ -37,7 +37,7 @@ def asked_at(recording):
 def test_the_loop_waits_without_latency():
     recording = in_process(rig())
     assert asked_at(recording) == pytest.approx([0.1 * k for k in range(10)])
-    # the plan of a tick is from the state and the reference of that tick
+    # The plan of a tick uses the state and the reference of that tick.
     signals = Signals(recording)
     x = signals["lag/state/x/position"].x[::10][:10]
     wanted = signals["lag/reference/x/position"].x
@@ -46,7 +46,8 @@ def test_the_loop_waits_without_latency():
 
 def test_a_plan_takes_effect_its_latency_later_and_the_newest_request_is_next():
     recording = in_process(rig(latency=0.25))
-    # asked at 0, in effect at 0.3; the newest request then is that of 0.3, in effect at 0.6
+    # The request of t = 0 takes effect at 0.3 s. By then the newest request is that of 0.3 s, which takes effect at
+    # 0.6 s.
     assert asked_at(recording) == [-1.0] * 3 + [0.0] * 3 + [0.3] * 3 + [0.6]
 
 
@@ -88,13 +89,13 @@ def test_failed_work_ends_a_run_and_is_reported_in_real_time(fault, reason):
     block.reset(0)
     block.block.realtime = True
     results = []
-    for k in range(5):  # in its two parts: how fast the work is decides nothing
+    for k in range(5):  # in two halves, with all the time for the work in between
         block.x = block.block.begin(block.x, k * 100_000_000, state=(0.01 * k, 0.0), reference=(1.0,))
         assert block.block.worker.wait(PATIENCE)
         block.x, values = block.block.end(block.x, k * 100_000_000)
         block.store_reports()
         results.append(values)
-    # the second work failed, the third plan comes from a new process
+    # The second computation failed, so a new process makes the third plan.
     assert [round(v["plan"][0], 9) for v in results] == [0.0, 0.0, 0.2, 0.3, 0.4]
     assert block.reports["work"][2] == 1
 
@@ -209,7 +210,7 @@ def test_a_realtime_node_answers_every_tick_while_a_plan_is_made():
     assert planner.drive.missed == planner.drive.incomplete == 0
     signal = Signals(run.recording, run.epoch)["lag/plan/asked_at/position"]
     first, second, *_ = [a for a, _ in itertools.groupby(signal.x) if a >= 0.0]
-    # the second request is the newest at the tick at which the first plan took effect
+    # The second request is the newest one at the tick at which the first plan takes effect.
     used = signal.t[np.argmax(signal.x == first)]
     assert (first, second) == (0.0, pytest.approx(used, abs=1e-9))
 
@@ -244,7 +245,7 @@ def test_a_fork_leaves_the_idle_processes_of_its_parent_alone(monkeypatch, no_ga
     monkeypatch.setattr("softrig_core.solver.worker.MOST_IDLE", 1)
     first = works()
     owned = Worker(Planner.solve)
-    owned.warm()  # the idle one
+    owned.warm()  # uses the idle process
     assert owned._process.pid == first
     second = works()
     context = multiprocessing.get_context("fork")

@@ -108,7 +108,7 @@ def test_a_solver_ticks_as_its_independent_description_says(latency, cancels, mo
             if cancels and active and t < effect:
                 active = None
         new = False
-        for _ in range(2):  # a result that is due makes room for the next
+        for _ in range(2):  # a result that takes effect makes room for the next request
             if not active and waiting:
                 active, waiting, effect = waiting, None, t + ns
                 worked.append(active[1])
@@ -119,7 +119,7 @@ def test_a_solver_ticks_as_its_independent_description_says(latency, cancels, mo
         assert held.block.working(held.x) == bool(active or waiting)
     log = held.block.worker.log
     assert [entry for entry in log if isinstance(entry, str)] == worked
-    assert {entry for entry in log if not isinstance(entry, str)} == {0.251}  # s: looks at the limit now and then
+    assert {entry for entry in log if not isinstance(entry, str)} == {0.251}  # s until the limit is checked again
     assert (held.block.worker.cancelled > 0) == (cancels and latency > 0.1)
     assert held.reports == {}
     held.block.release()
@@ -153,7 +153,7 @@ def test_a_tick_in_real_time_uses_the_messages_that_have_arrived(monkeypatch):
     work, tenth = node.block.worker, 100_000_000
     assert node.update(0, ask="a") == (None, False)
     assert node.update(1 * tenth, ask=None) == (None, False)
-    assert node.reports == {}  # not yet due
+    assert node.reports == {}  # the result is not due yet
     assert node.update(2 * tenth, ask="b") == (None, False)
     assert node.reports[UNFINISHED] == (
         Level.OK,
@@ -167,16 +167,16 @@ def test_a_tick_in_real_time_uses_the_messages_that_have_arrived(monkeypatch):
     work.status, work.seconds = {"gap": 0.1234567891, "node": 7}, 1.26
     assert node.health() == {"work": "request of t = 0.2 s, 1.3 s", "gap": "0.123456789", "node": "7"}
     work.finish(failed=True)
-    assert node.update(4 * tenth, ask=None) == ((0, "answer to a", True), False)  # before its latency
+    assert node.update(4 * tenth, ask=None) == ((0, "answer to a", True), False)  # before its latency has passed
     assert node.update(5 * tenth, ask=None) == ((0, "answer to a", True), False)
     assert node.reports["work"] == (Level.ERROR, "work on the request of t = 0.2 s failed: bad", 1)
     assert node.health() == {"work": "idle"}
     node = solver(monkeypatch, 0.0, realtime=True)
-    node.update(0, ask="a")  # due immediately, so a missing result is not reported
+    node.update(0, ask="a")  # the plan is due at once, so a missing result is no report
     assert node.reports == {}
     node = solver(monkeypatch, 0.0, cancels=True, realtime=True)
     node.update(0, ask="a")
-    node.update(tenth, ask="b")  # that is under way is killed, however late it is
+    node.update(tenth, ask="b")  # the running computation is killed, even if it is late
     assert (node.block.worker.cancelled, node.block.worker.job.request) == (1, "b")
     node.block.worker.finish()
     node.update(2 * tenth, ask="c")
@@ -189,7 +189,7 @@ def test_going_back_repeats_the_work_again(monkeypatch):
     kept = node.save()
     node.update(100_000_000, ask=None)
     node.load(kept)
-    # the same request is already being computed
+    # The same request is already being computed.
     assert (node.block.worker.log, node.block.worker.cancelled) == (["a"], 0)
     node.update(200_000_000, ask="b")
     node.load(kept)
@@ -201,7 +201,8 @@ def test_going_back_repeats_the_work_again(monkeypatch):
     assert (node.block.worker.cancelled, node.block.worker.state) == (2, "idle")
 
 
-# a worker, with a process that is none --------------------------------------------------------------------------------
+# a worker with a stand-in for its process
+# -----------------------------------------------------------------------------
 
 
 class Process:
@@ -279,7 +280,7 @@ def test_a_worker_knows_the_state_of_its_work(hands, monkeypatch):
     worker.process_message(process, "done", "a")
     now(state="done", job=job, status={"gap": 1.0}, best="b", has_best=True, answer="a")
     assert worker.wait(0.0) is True
-    worker.process_message(process, "failed", "its end")  # after what it was asked for
+    worker.process_message(process, "failed", "its end")  # messages after the answer are ignored
     now(state="done", job=job, status={"gap": 1.0}, best="b", has_best=True, answer="a")
     worker.submit("s")
     now(state="working")
@@ -289,9 +290,9 @@ def test_a_worker_knows_the_state_of_its_work(hands, monkeypatch):
     worker.release()
     assert (process.left, worker.state) == (1, "failed")
     worker.submit("u", 7)
-    assert len(hands) == 2  # another one
+    assert len(hands) == 2  # started another process
     worker.release()
-    assert hands[1].left == 0  # this process is busy
+    assert hands[1].left == 0  # a busy process is not returned
     worker.process_message(hands[1], "best", "b")
     worker.strike()
     now(state="done", answer="b", has_best=True, struck=True, job=7)
@@ -307,7 +308,7 @@ def test_a_worker_knows_the_state_of_its_work(hands, monkeypatch):
     assert [p.left for p in hands] == [1, 0, 0, 0]
     worker.warm()
     hands[-1].dead = True
-    worker.warm()  # a process that has ended is replaced
+    worker.warm()  # a dead process is replaced
     assert len(hands) == 6
     now.__defaults__ = ()
     del worker
@@ -382,7 +383,7 @@ def test_processes_without_an_owner_serve_the_next_of_the_same_call(monkeypatch)
     assert idle == []
     first.leave()
     monkeypatch.setenv("OTHER", "1")
-    assert of("m", "f") is not first  # it would have other environment variables
+    assert of("m", "f") is not first  # a process with other environment variables cannot be used
     monkeypatch.delenv("OTHER")
     first._process.ended = 0
     assert of("m", "f") is not first
@@ -447,7 +448,8 @@ def test_a_listener_passes_on_messages_until_the_end(monkeypatch):
     assert messages == [("status", {"gap": 0.5, "node": 3}), ("best", "b")]
 
 
-# a tick before the first one ------------------------------------------------------------------------------------------
+# warm-up: a tick before the first one
+# ---------------------------------------------------------------------------------
 
 
 @jit
@@ -487,7 +489,7 @@ class Body(Plant):
 def test_a_rehearsal_is_a_tick_that_is_discarded(monkeypatch):
     monkeypatch.setattr(Law, "done", [])
     monkeypatch.setattr(Body, "done", [])
-    assert rehearse(Law, Law().p, "law")  # this module has a compiled function
+    assert rehearse(Law, Law().p, "law")  # the module of this block has a compiled function
     assert Law.done == [("law", 0, (2.0,)), "warm"]
     assert rehearse(Body, Body().p, "body", always=True)
     assert Body.done == ["outputs", "advance"]

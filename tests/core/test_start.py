@@ -62,7 +62,7 @@ def test_an_argument_that_rcl_refuses_is_one_line_with_the_expected_form(argumen
     with pytest.raises(ValueError, match=re.escape(text)) as error:
         non_ros_arguments(["node", "--ros-args", *arguments])
     assert not re.search(r"\n|\.c:|lexeme|not set", str(error.value))
-    assert capfd.readouterr() == ("", "")  # rcl logs some of it
+    assert capfd.readouterr() == ("", "")  # rcl itself would log some of these errors
 
 
 def test_arguments_of_others_are_those_outside_of_rclpys():
@@ -110,7 +110,7 @@ def test_a_node_begins_when_its_inputs_have_publishers_and_its_outputs_their_sub
     assert meeting.absent() == ["law does not subscribe /y"]
     assert meeting.shake.missing == ["law"]
     meeting.hand.readers["/y"] = {"law": JOINT, "tool": JOINT}
-    # the graph shows a subscriber before the publisher is matched with it
+    # The graph shows a subscriber before the publisher is matched with it.
     assert meeting.absent() == ["/y has 0 readers of 2"]
     meeting.y.matched(1)
     assert meeting.absent() == ["/y has 1 readers of 2"]
@@ -118,12 +118,12 @@ def test_a_node_begins_when_its_inputs_have_publishers_and_its_outputs_their_sub
     assert (meeting.absent(), meeting.shake.missing, meeting.shake.lacking) == ([], [], [])
     departed = Meeting().whole()
     departed.x.matched(0)
-    departed.x.received_any = True  # its publisher has sent everything and left
+    departed.x.received_any = True  # the publisher has sent everything and has left
     assert departed.absent() == []
     nobody = Meeting([])
     nobody.x.matched(1)
     nobody.hand.readers["/y"] = {"tool": JOINT}
-    assert nobody.absent() == []  # no subscriber is awaited
+    assert nobody.absent() == []  # no subscriber is expected
     local = Meeting(["law", "here"], local=["here"]).whole(law=JOINT, here=JOINT)
     local.y.matched(1)
     assert local.absent() == []
@@ -133,7 +133,7 @@ def test_incompatible_subscribers_are_named_if_they_are_awaited():
     meeting = Meeting().whole(law=JOINT, tool=JOINT)
     meeting.y.matched(1)
     meeting.hand.unfit = lambda topic, kind: [("tool", "reliability")] if (topic, kind) == ("/y", JOINT) else []
-    assert meeting.absent() == []  # the tool is not awaited
+    assert meeting.absent() == []  # the tool is not expected
     meeting.y.matched(0)
     assert meeting.absent() == ["/y has 0 readers of 1"]
     meeting.hand.unfit = lambda topic, kind: [("law", "reliability"), ("tool", "durability")]
@@ -163,11 +163,11 @@ def test_any_external_node_counts_as_a_subscriber_of_its_topics():
     assert (styles, meeting.absent()) == (
         25,
         [],
-    )  # a fiftieth of a second each: when nothing has changed for half of one
+    )  # checked every 20 ms; complete if nothing has changed for 0.5 s
     unmatched = Meeting([], outside=["/x"])
     unmatched.hand.writers = {"/x": ["guest"]}
     assert unmatched.absent() == ["no publisher on x (expected from sender)"]
-    assert unmatched.shake.lacking == ["/x"]  # discovered, but not yet matched
+    assert unmatched.shake.lacking == ["/x"]  # the publisher is discovered but not matched yet
 
 
 def test_for_a_node_started_alone_the_visible_endpoints_count_when_they_have_not_changed_for_a_while():
@@ -176,7 +176,7 @@ def test_for_a_node_started_alone_the_visible_endpoints_count_when_they_have_not
     assert meeting.absent() == ["bag does not subscribe /y"]
     meeting.whole(bag=JOINT)
     assert {*(tuple(meeting.absent()) for _ in range(20))} == {("outside nodes are still announcing themselves",)}
-    meeting.y.matched(2)  # a subscriber joins
+    meeting.y.matched(2)  # another subscriber joins
     assert {*(tuple(meeting.absent()) for _ in range(25))} == {("outside nodes are still announcing themselves",)}
     assert meeting.absent() == []
     for plant in (True, False):
@@ -184,7 +184,8 @@ def test_for_a_node_started_alone_the_visible_endpoints_count_when_they_have_not
         lonely.x.matched(1)
         for _ in range(25):
             assert lonely.absent() == ["no node subscribes to /y"]
-        assert lonely.absent() == ([] if plant else ["no node subscribes to /y"])  # only a plant may do without
+        # Only a plant can run without a subscriber.
+        assert lonely.absent() == ([] if plant else ["no node subscribes to /y"])
     public = Meeting([], public=True, recorders=["bag"])
     public.x.matched(1)
     assert public.absent() == ["bag does not subscribe /y"]
@@ -247,11 +248,11 @@ def test_the_starter_waits_until_all_are_ready_and_matched_and_announces_the_tim
     now = one.hand.time
     ((epoch, ahead),) = one.begun
     assert (epoch % (10 * MS), ahead) == (0, 0)
-    assert now + 500 * MS < epoch <= now + 510 * MS  # half a second, and to the next point of the grid
+    assert now + 500 * MS < epoch <= now + 510 * MS  # half a second from now, rounded up to the grid
     assert TickReader()(text[0]) == (epoch, frozenset([str(now)]))
     assert one.timer.now is None
     one.hand.time += SECOND
-    ready(TickWriter()(0, ["law"]))  # a node that still asks gets the answer again, with the present time
+    ready(TickWriter()(0, ["law"]))  # a node that asks again gets the answer with the present time
     assert TickReader()(text[1]) == (epoch, frozenset([str(now + SECOND)]))
     one.departure.announce(["ahead=0", "from=5"])
     assert TickReader()(text[2]) == (epoch, frozenset([str(now + SECOND), "ahead=0", "from=5"]))
@@ -266,9 +267,9 @@ def test_neighbours_in_its_process_are_informed_in_memory():
     for name in ("law", "source"):
         one.hand.heard[READY](TickWriter()(0, [name]))
     assert one.look() == [f"law, source does not hear {START} yet"]
-    one.hand.matched[START](1)  # only of other processes
+    one.hand.matched[START](1)  # counts nodes of other processes only
     one.look()
-    (call,) = one.hand.posted  # to a node that does not start the run
+    (call,) = one.hand.posted  # the other node of this process, which does not start the run, is informed by a call
     call()
     assert [epoch for epoch, _ in two.begun] == [one.begun[0][0]]
 
@@ -282,7 +283,8 @@ def test_the_others_report_that_they_are_ready_and_follow_a_clock_that_is_half_a
     assert not text
     one.gone.clear()
     one.look(13)
-    assert [TickReader()(data) for data in text] == [(0, frozenset(["node"]))] * 2  # at each fifth look, 15 and 20
+    # The request is repeated at each fifth check: 15 and 20.
+    assert [TickReader()(data) for data in text] == [(0, frozenset(["node"]))] * 2
     hear(TickWriter()(0, []))
     hear(b"")
     assert not one.begun
@@ -294,7 +296,7 @@ def test_the_others_report_that_they_are_ready_and_follow_a_clock_that_is_half_a
     hear(TickWriter()(epoch, ["until=5"]))
     assert (len(one.begun), one.words[1]) == (1, frozenset(["until=5"]))
     other = Leaves("law")
-    other.hand.heard[START](TickWriter()(epoch, ["x"]))  # without a clock
+    other.hand.heard[START](TickWriter()(epoch, ["x"]))  # this start message has no clock time
     assert other.begun == [(epoch, 0)]
 
 
@@ -362,7 +364,7 @@ def test_a_lockstep_controller_answers_each_tick_when_its_inputs_are_there_and_l
     assert hand.said["lag/command"] == [u.encode(10 * k * MS, (6.0 + 2 * k,)) for k in range(3)]
     assert kept.said == [(0, 10 * k * MS, u.encode(10 * k * MS, (6.0 + 2 * k,))) for k in range(3)]
     assert (adapter.state, left) == ("done", [30 * MS])
-    assert "tick_p50_ms" not in adapter.drive.statistics()  # a plant's
+    assert "tick_p50_ms" not in adapter.drive.statistics()  # only a plant has this statistic
 
 
 def test_a_node_that_cannot_begin_reports_after_five_seconds_what_is_missing():
@@ -475,7 +477,7 @@ def test_a_topic_of_another_type_is_reported_once_and_a_watch_writes_the_status(
     hand.types = {"/lag/state": ["std_msgs/msg/Float64"], "/lag/reference": [REFERENCE.msgtype]}
     for k in range(1, 9):
         watch.call()
-        assert len(hand.logs) == (k >= 4)  # it checks at every fourth call
+        assert len(hand.logs) == (k >= 4)  # the node checks at every fourth call
     text = f"lag/state exists with type std_msgs/msg/Float64, expected {JOINT}"
     assert hand.logs == [f"ERROR {text}"]
     assert adapter.account.status()["reports"] == {"type of lag/state": [2, text, 1]}
@@ -544,7 +546,7 @@ def test_an_observer_that_is_done_publishes_its_figures():
     adapter.finish()
     assert adapter.account.status()["figures"] == {"seen": (7.0, "")}
     adapter.step.x = 8
-    assert adapter.account.status()["figures"] == {"seen": (7.0, "")}  # worked out once
+    assert adapter.account.status()["figures"] == {"seen": (7.0, "")}  # the figures were computed once and are cached
 
 
 def test_a_restarted_node_repeats_its_last_messages():
@@ -603,7 +605,7 @@ def test_ticks_of_a_process_delay_a_timer_by_at_most_five_ms_and_stop_at_a_missi
     turns = Turns([node])
     turns.ticks = ticks()
     turns.turn()
-    assert (len(used), hand.posted) == (7, [turns.turn])  # the limit is set with the first of them
+    assert (len(used), hand.posted) == (7, [turns.turn])  # the first of these ticks sets the time limit
     hand.posted.pop()()
     assert (len(used), hand.posted) == (14, [turns.turn])
     hand.posted.pop()()
@@ -768,7 +770,7 @@ def test_a_container_starts_the_nodes_of_its_command_line_and_reports_errors_in_
     broken[:] = [RunError("no such thing")]
     code, text = status("a", "b")
     assert (code, "a b: no such thing" in text.err) == (2, True)
-    ros.ok = lambda: False  # a signal has shut the context down under it
+    ros.ok = lambda: False  # a signal has shut the context down meanwhile
     assert status("a", "b")[0] == 0
     ros.ok, rmw[0] = (lambda: True), "rmw_cyclonedds_cpp"
     code, text = status("a", "b")

@@ -74,14 +74,15 @@ def test_the_point_is_where_newtons_method_ends(at):
     assert point.slowest == pytest.approx(1.0 - 0.1 * root, rel=1e-7)
     assert point.stable
     assert point.moved <= 1e-9
-    assert point.drifting == {"plant[1]": pytest.approx(root / point.period, rel=1e-9)}  # an integral continues to grow
+    # The integral grows without limit.
+    assert point.drifting == {"plant[1]": pytest.approx(root / point.period, rel=1e-9)}
 
 
 def test_an_unstable_point_is_reported_as_unstable():
     """x+ = 1.2 x - 0.22: at rest at 1.1, which is unstable."""
     point = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1) if abs(x) < 50.0 else 0.0), at=0.0)
     assert (point.states["plant[0]"], point.slowest, point.stable) == (pytest.approx(1.1), pytest.approx(1.2), False)
-    # the controller stabilises the point: x+ = 0.8 x - 0.22
+    # The controller stabilises this point: x+ = 0.8 x - 0.22.
     held = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1), -0.4), at=0.0)
     assert (held.states["plant[0]"], held.slowest) == (pytest.approx(-1.1), pytest.approx(0.8))
     assert held.signals["law/u/data"] == pytest.approx(0.44)
@@ -90,7 +91,7 @@ def test_an_unstable_point_is_reported_as_unstable():
 @pytest.mark.parametrize("gain", [0.2, -0.3])
 def test_a_plant_that_starts_at_rest_keeps_its_states(gain):
     """x+ = (1 + gain) x - gain from x = 1: only a sum moves, and a ball on a hilltop is not stable."""
-    rig = rig_of_curve(lambda x: (gain - 0.0625) * (x - 1.0) - 0.0625, 0.0625)  # the controller adds 0.0625 x
+    rig = rig_of_curve(lambda x: (gain - 0.0625) * (x - 1.0) - 0.0625, 0.0625)  # the controller contributes 0.0625 x
     point = steady(rig, at=0.0)
     assert (point.states["plant[0]"], point.stable, point.steps) == (1.0, gain < 0.0, 0)
     assert point.slowest == pytest.approx(1.0 + gain)
@@ -162,7 +163,7 @@ def test_the_drift_of_a_run_is_measured_in_the_sizes_of_the_states(monkeypatch):
     assert point.moved == pytest.approx(200 * 1e-8 / 4.0, rel=1e-6)
     assert point.signals == pytest.approx(dict.fromkeys(["law/u/data", "plant/y/data", "plant/way/data"], 9.0))
     assert (point.at, point.period, point.slowest) == (3.0, 0.01, pytest.approx(0.5))
-    # after 200 periods 1e-6 and 1.5e-6 of the sizes of the states
+    # After 200 periods the states have moved by 1e-6 and 1.5e-6 of their sizes.
     monkeypatch.setattr(Wanders, "little", np.array([0.5e-8, 3e-8]))
     with pytest.raises(
         NoOperatingPoint, match=r"near t = 3 s: what is found does not last; plant\.b = 8 moves by 6e-06 within 2 s$"

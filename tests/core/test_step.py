@@ -161,7 +161,7 @@ def test_a_rig_is_stepped_tick_by_tick_with_one_node_played_by_python():
     for k in range(11):
         blocks["law"].action = float(k)
         assert next(ticks) == 10_000_000 * k
-        if k < 10:  # a controller that publishes nothing at the end is not executed there
+        if k < 10:  # without an output at the end, the controller has no last tick
             assert steps["law"].x == x
             x += 0.01 * (k - x)
     assert steps["plant"].x.x == x
@@ -169,13 +169,14 @@ def test_a_rig_is_stepped_tick_by_tick_with_one_node_played_by_python():
 
 
 KINDS = (
-    rig_of("dc_motor_smc_faults", duration=0.05),  # messages that are silent, late or bad
+    rig_of("dc_motor_smc_faults", duration=0.05),  # its messages can be silent, late or invalid
     rig_of("dc_motor_fsfb_stretch_jitter", duration=0.3),
     rig_of("lsrm_fuzzy_b5_trip", duration=0.01),
     *(
         rig_of(make_scenario(nodes, duration=0.4))
         for nodes in (
-            {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"},  # arrays, which are numbered
+            # Messages of arrays, which are numbered.
+            {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"},
             {"plant": "plant", "source": "source", "link": "link", "law": "late_gain"},
             {"plant": "plant", "source": "source", "gain": {"executable": "gain", "parameters": {"noise": 1.0}}},
         )
@@ -204,12 +205,12 @@ def test_ticks_whose_text_is_generated_equal_those_of_the_loop(rig, monkeypatch)
 
 
 def test_recorded_numbers_have_the_bytes_of_each_message(monkeypatch):
-    monkeypatch.setenv("SOFTRIG_JIT", "0")  # a block compiled by an earlier test is called less often
+    monkeypatch.setenv("SOFTRIG_JIT", "0")  # native code would skip calls that this test counts
     rig = Rig.from_blocks({"plant": Lag(), "law": Gain(), "source": Source()}, 0.1)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     halves = []
     run_inprocess(rig, 0, recording, lambda t: halves.append(len(recording.topics["lag/state"].data)))
-    assert halves == list(range(1, 12))  # asked for in between
+    assert halves == list(range(1, 12))  # read while the run records
     port = next(p for m in rig.members for p in m.outputs if p.topic == "lag/state")
     topic = recording.topics["lag/state"]
     results = [port.layout().decode(data) for data in topic.data]
@@ -226,7 +227,7 @@ def test_a_recording_keeps_numbers_until_bytes_are_needed_and_both_are_equal():
         return recording
 
     numbers, made = record(), record()
-    assert all(topic.data for topic in made.topics.values() if topic.times)  # bytes of all
+    assert all(topic.data for topic in made.topics.values() if topic.times)  # encodes the bytes of all messages
     signals, expected = Signals(numbers), Signals(made)
     assert [t for t, topic in numbers.topics.items() if topic.columns() is None] == ["lag/offset", "lag/kick"]
     assert list(signals) == list(expected)
@@ -237,7 +238,7 @@ def test_a_recording_keeps_numbers_until_bytes_are_needed_and_both_are_equal():
         (t, topic.name, data) for t, topic, data in made.messages()
     ]
     assert not numbers.topics["lag/state"]._data
-    numbers.topics["lag/state"].times.pop()  # somebody changes it
+    numbers.topics["lag/state"].times.pop()  # the caller changes the times
     assert numbers.topics["lag/state"].columns() is None
 
 

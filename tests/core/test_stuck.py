@@ -72,7 +72,8 @@ def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypa
     monkeypatch.setattr(stuck, "LONG", PATIENCE)
     monkeypatch.setattr(stuck.os, "_exit", lambda status: (ended.append(status), AT_LAST.set()))
     monkeypatch.setattr(stuck, "print_for", lambda title, text: lines.append(f"{title}: {text}"))
-    before = signal.signal(signal.SIGTERM, lambda number, frame: None)  # the stuck code never handles this signal
+    # The handler never runs, because the stuck code does not return to Python.
+    before = signal.signal(signal.SIGTERM, lambda number, frame: None)
     STARTED.clear()
     killer = threading.Thread(target=lambda: STARTED.wait(PATIENCE) and os.kill(os.getpid(), signal.SIGTERM))
     killer.start()
@@ -170,15 +171,15 @@ def test_a_thread_that_continues_is_not_waited_for():
 
 def test_a_node_that_waits_for_a_compiler_or_runs_no_block_is_left_alone(lines):
     with stuck.watched():
-        with stuck.watched():  # within another one it does nothing
+        with stuck.watched():  # nested in another watch it has no effect
             assert watches() == 1
         assert watches() == 1
         assert stuck.calls() == {}
         time.sleep(0.3)
-        with warnings.catch_warnings():  # the thread that watches holds no lock
+        with warnings.catch_warnings():  # the watching thread holds no lock, so the fork is safe
             warnings.simplefilter("ignore", DeprecationWarning)
             pid = os.fork()
-        if not pid:  # a fork watches for itself, and its signals are none of its parent's
+        if not pid:  # a fork needs a watch of its own and does not share its parent's signals
             with stuck.watched():
                 os._exit(10 + threading.active_count())
         assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 12
@@ -229,7 +230,7 @@ def test_a_law_that_loops_is_named_and_ctrl_c_ends_it(code, verb, mode, tmp_path
         (line, *_) = [line for line in text.splitlines() if "has not returned" in line]
         assert ("dc_motor_smc" if code == "python" else "law") in line
         assert "t = 0.1 s" in line
-        if mode != "processes":  # there the other nodes give up after the scenario's timeout
+        if mode != "processes":  # in processes the other nodes end after the scenario's timeout
             process.send_signal(signal.SIGINT)
         assert process.wait(30.0) == (3 if mode == "processes" else 130), (tmp_path / "said").read_text()
     finally:

@@ -256,7 +256,7 @@ class Rig:
             return None
         flight = Flight(Handle(request, len(self.flights)), self.served["run"])
         self.flights.append(flight)
-        self.world.match()  # the subscription of the first
+        self.world.match()  # lets the rig subscribe to the topic of the first flight
         return flight
 
     def publish(self, message):
@@ -287,7 +287,7 @@ class Flight:
 
 def test_a_goal_is_followed_reported_and_reached(monkeypatch):
     rig = Rig(monkeypatch)
-    assert rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))))) is None  # the run has not begun
+    assert rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))))) is None  # the run has not started
     rig.until(10 * MS)
     refused = "follow_joint_trajectory: a goal is refused: the run has not begun"
     assert rig.adapter.step.reports["follow_joint_trajectory"] == (Level.WARN, refused, 1)
@@ -309,7 +309,7 @@ def test_a_goal_is_followed_reported_and_reached(monkeypatch):
     assert reported.error.positions == pytest.approx(
         [d - a for d, a in zip(reported.desired.positions, reported.actual.positions, strict=True)]
     )
-    # the run can be repeated: what was set is recorded
+    # The run can be repeated, because the changes are recorded.
     assert rig.run.recording.topics["parameter_events"].data
 
 
@@ -337,7 +337,7 @@ def test_a_goal_tolerance_is_waited_for_within_its_time(monkeypatch):
     unbounded = rig.send(goal(trajectory(point(20 * MS, (1, 1, 1))), end=[bound("joint1", 1e-12)]))
     rig.until(190 * MS)
     assert unbounded.answer is None
-    rig.until(215 * MS)  # the run ends at 0.3 s: the answer is sent while the node is there
+    rig.until(215 * MS)  # before the end of the run at 0.3 s, so that the node can still answer
     assert unbounded.code == (-5, "abort")
 
 
@@ -376,7 +376,7 @@ def test_a_new_trajectory_replaces_the_goal_from_where_the_reference_is(monkeypa
 
 
 def test_in_a_flood_the_newest_trajectories_wait_and_goals_are_refused(monkeypatch):
-    monkeypatch.setattr(following, "LOOK", 1_000)  # simulated time passes by a latency a message
+    monkeypatch.setattr(following, "LOOK", 1_000)  # each message takes some simulated time
     rig = Rig(monkeypatch)
     rig.until(10 * MS)
     rig.wait = 1e-6
@@ -395,7 +395,7 @@ def test_in_a_flood_the_newest_trajectories_wait_and_goals_are_refused(monkeypat
 
 
 def test_an_unmeasured_joint_is_not_reported_as_within_a_tolerance(monkeypatch):
-    monkeypatch.setattr(following, "LOOK", 1_000)  # simulated time passes by a latency a message
+    monkeypatch.setattr(following, "LOOK", 1_000)  # each message takes some simulated time
     rig = Rig(monkeypatch)
     monkeypatch.setattr(rig.node, "resolve", lambda topic: f"/elsewhere/{topic}")
     rig.until(10 * MS)
@@ -417,7 +417,7 @@ def test_in_a_container_the_joints_are_those_of_the_neighbour_node(monkeypatch):
     assert within.code == (0, "succeed")
     assert len(within.handle.told[0].actual.velocities) == 3
     beyond = rig.send(goal(trajectory(point(MS, (2, 2, 2)), point(SECOND, (1, 1, 1))), path=[bound("joint2", 0.5)]))
-    rig.until(rig.adapter.step.t + 5 * MS)  # in this process ticks come in stretches
+    rig.until(rig.adapter.step.t + 5 * MS)  # in process, several ticks run before the next check
     rig.following._check()
     rig.until(0)
     assert beyond.code == (-4, "abort")

@@ -101,7 +101,7 @@ def test_units_of_the_same_quantity_are_converted(unit, wanted, number):
     assert bool(misfit(unit, wanted)) == (number != 1.0)
 
 
-# by hand from the SI brochure: number of kg, m, s, A, K and rad in each, and how many of those one is
+# Derived by hand from the SI brochure: exponents of kg, m, s, A, K and rad, and the factor.
 DIMENSIONS = {
     "s": ("001000", 1),
     "m": ("010000", 1),
@@ -176,7 +176,7 @@ MADE = [
 
 def test_any_two_units_measure_the_same_quantity_or_not():
     rng = random.Random(1)
-    for name in NAMES:  # each, beside another of its own and of any
+    for name in NAMES:  # each unit beside one of its own dimension and one of any
         alike = [n for n in NAMES if DIMENSIONS[n[1]][0] == DIMENSIONS[name[1]][0]]
         hold_units([(name, 1)], [(rng.choice(alike), 1)])
         hold_units([(name, rng.choice([2, -1]))], drawn(rng))

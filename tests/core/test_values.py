@@ -19,7 +19,8 @@ from softrig_core.run.inprocess import wired
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 from parameters import executables
 
-# what a library or a simulated board holds is no attribute of the block; both are written as the state is put into them
+# The state of a library or a simulated board is not an attribute of the block. These blocks write the library or the
+# board when they load a state.
 HOLDERS = {"softrig_control/c_controller", "softrig_control/c_plant", "softrig_drives/dc_motor_uno"}
 BLOCKS = {f"{package}/{name}": cls for package, name, cls in executables() if f"{package}/{name}" not in HOLDERS}
 MUTATING = {"append", "extend", "insert", "pop", "popleft", "appendleft", "clear", "remove", "add", "discard", "update",
@@ -108,7 +109,7 @@ def test_a_discarded_tick_has_reported_nothing_and_draws_again():
     node.update(0)
     saved = node.save()
     after = node.update(1)
-    node.block.update(node.x, 2)  # tried, not kept
+    node.block.update(node.x, 2)  # a trial tick, whose result is dropped
     node.drop()
     assert node.reports["drawn"][2] == 2
     node.load(saved)

@@ -25,15 +25,16 @@ from softrig_core import (
 PERIODS = 40
 AT_REST = 1e-6
 
-# A command of each system, the size of the step (of the largest value there), and how far the view is from the rig.
+# A command of each system, the step as a part of its largest value, and the largest error of the view.
 STEPS = {
     "dc_motor_smc": ("motor/command/armature/effort", 2.0**-12, AT_REST),
     "dc_motor_fsfb": ("axis/command/armature/effort", 2.0**-12, AT_REST),
     "rectifier_mpc": ("v_drop/command/v_drop/effort", 2.0**-12, AT_REST),
     "manipulator_adsmc": ("motor_command/motor2/effort", 2.0**-12, AT_REST),
     "optimal_control_mvim": ("ocp/command/axis_1/effort", 2.0**-12, AT_REST),
-    "rehab_impedance": ("motor_command/hip/effort", 2.0**-16, 1e-5),  # friction bends where a joint begins to move
-    "pv_mppt": ("converter/duty/duty/effort", 2.0**-18, 1e-3),  # the string's voltage is solved by steps
+    # The friction has a kink where a joint starts to move.
+    "rehab_impedance": ("motor_command/hip/effort", 2.0**-16, 1e-5),
+    "pv_mppt": ("converter/duty/duty/effort", 2.0**-18, 1e-3),  # the voltage of the string is solved iteratively
 }
 
 
@@ -73,15 +74,16 @@ def test_a_view_along_a_run_agrees_with_the_rig_under_a_step_through_a_fault(nam
     assert max(result.values()) < most, result
 
 
-# Where a view along the run is another rig, and why.
+# Rigs of which a linear view along the run is refused, with the reason.
 OTHERWISE = {
-    "fault_location": "numbers move, .* of them in line_plant.line",  # two travelling waves, a place a step
-    "gupfc": "numbers move, .* of them in gupfc_plant.network.ring",  # the mean of a cycle of 1024 steps
+    # Two travelling waves, which move by one place a step.
+    "fault_location": "numbers move, .* of them in line_plant.line",
+    "gupfc": "numbers move, .* of them in gupfc_plant.network.ring",  # the moving mean of a cycle of 1024 steps
     "pwa_delay": "numbers move, .* of them in switched_delay_plant.past",
     "tcp_aqm_smc": "numbers move, .* of them in tcp_fluid.past",
-    "economic_dispatch": "dispatch/setpoints/2/effort is not published at",  # a solver's answer, now and then
-    "induction_dtc": 0.1,  # hysteresis and a table switch at each tick
-    "lsrm_fuzzy": 0.1,  # a phase that carries no current rests on its diode: it moves one way only
+    "economic_dispatch": "dispatch/setpoints/2/effort is not published at",  # the solver publishes only now and then
+    "induction_dtc": 0.1,  # hysteresis and a table switch at every tick
+    "lsrm_fuzzy": 0.1,  # a phase without current is blocked by its diode, so its flux can only rise
 }
 
 

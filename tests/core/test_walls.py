@@ -11,8 +11,8 @@ PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 DOMAINS = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")
 INTERFACES = ("std_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "visualization_msgs", "trajectory_msgs")
 MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_interfaces", *INTERFACES)
-# rooms from the ground up; a module imports those of its own room and of the rooms before it. Ports know their wire
-# layout, so the bytes and types of messages stand below the blocks.
+# Rooms from the bottom up: a module imports only from its own room and the rooms before it. Ports know their wire
+# layout, so bytes and types of messages are below the blocks.
 ROOMS = {
     "softrig_core": (
         "errors arrays bits timebase entry guard interrupt needs extras renamed command_line runners kit wire judge "
@@ -37,7 +37,7 @@ def imports(package, types=True):
     for file in sorted((PACKAGES / package / package).rglob("*.py")):
         parts = file.relative_to(PACKAGES / package).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        inside = parts[:-1]  # the package that relative imports count from
+        inside = parts[:-1]  # base of relative imports
         targets = set()
         for node, only_types in imported(file):
             if only_types and not types:
@@ -71,7 +71,7 @@ def layer(module):
 def test_the_check_finds_imports():
     assert any(within(t, "rclpy") for t in everything()["softrig_nodes"]["softrig_nodes.ros.ros"])
     assert "softrig_core.wire.types.TYPES" in everything()["softrig_core"]["softrig_core.block.port"]
-    assert "casadi" in everything()["softrig_core"]["softrig_core.kit.compiled"]  # within a function
+    assert "casadi" in everything()["softrig_core"]["softrig_core.kit.compiled"]  # an import within a function counts
     assert (
         layer("softrig_core.wire.signals")
         < layer("softrig_core.block.codec")
@@ -96,7 +96,7 @@ def test_only_the_nodes_package_uses_the_middleware():
 @pytest.mark.parametrize("package", ROOMS)
 def test_a_package_folder_imports_only_those_below_it(package):
     result = everything()[package]
-    assert [m for m in result if m != package and layer(m) is None] == []  # every module has its room
+    assert [m for m in result if m != package and layer(m) is None] == []  # every module is in a room
     breaches = [
         f"{module} imports {target}"
         for module, targets in result.items()

@@ -77,8 +77,8 @@ def test_running_figures_are_published_while_there_is_a_subscriber(mode):
         faces._executor.submit(pause.wait)
     faces._publish_diagnostics()
     if faces._executor:
-        eye.x = eye.block.first()  # the block continues in the meantime
-        faces._publish_diagnostics()  # only one computation at a time
+        eye.x = eye.block.first()  # meanwhile the block continues
+        faces._publish_diagnostics()  # at most one computation is in progress
         faces._check()
         assert not messages
         pause.set()
@@ -126,9 +126,11 @@ def test_a_figure_counts_from_the_newest_step_of_its_reference():
     def measured(function, **arguments):
         return Figure("it", function, {"signal": "y", **arguments}, "", 1.0, "r")(signals)
 
-    assert measured(measures.overshoot) == pytest.approx(300.0)  # 6 beyond a step of 2, from 1 to 3
+    # The peak is 6 beyond the final value of the step from 1 to 3.
+    assert measured(measures.overshoot) == pytest.approx(300.0)
     assert measured(measures.overshoot, end=1.5) == 0.0
-    assert measured(measures.overshoot, final=6.0) == pytest.approx(50.0)  # from 0, as without a step
+    # With a final value given, the step starts at 0.
+    assert measured(measures.overshoot, final=6.0) == pytest.approx(50.0)
     assert measured(measures.minimum) == 1.0
     assert measured(measures.minimum, start=0.5) == 3.0
     assert measured(measures.mean_error, reference="r", start=0.5, end=1.5) == 0.0

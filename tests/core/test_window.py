@@ -71,7 +71,7 @@ def test_a_window_has_the_newest_messages_of_a_list(monkeypatch, seed):
             for stamp, values in messages:
                 listed.take(stamp, values, t, reach)
             if begun:
-                listed.take(listed.rows[-1][0], (), t, reach)  # no new sample, but the window moves
+                listed.take(listed.rows[-1][0], (), t, reach)  # the window moves without a new sample
         same(kept, listed, size)
 
 

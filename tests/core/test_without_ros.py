@@ -20,7 +20,7 @@ spec = importlib.util.spec_from_file_location("layout", ROOT / "scripts" / "layo
 layout = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(layout)
 ALONE = ("softrig_core", "softrig_control", "softrig_optim", "softrig_drives")
-# hide ROS packages that may be installed beside Python
+# Hide ROS packages that are installed beside Python.
 BLOCKED = f"""
 import sys
 class Blocked:
@@ -79,7 +79,7 @@ DcMotorPlant.main(["/some/lib/softrig_drives/dc_motor_plant"])
 def test_a_class_is_the_node_that_its_package_declares(monkeypatch):
     assert block_of(EntryPoint("gain", "faultrig:Gain.main", "console_scripts").load()) is faultrig.Gain
     assert block_of(faultrig.script) is None
-    assert block_of("".join) is None  # a method of no class
+    assert block_of("".join) is None  # a bound method whose object is no block
     asked = []
     monkeypatch.setattr(runners, "find_runner", lambda name: lambda *what: asked.append((name, *what)))
     monkeypatch.setattr(sys, "argv", ["/lib/faultrig/gain", "--help"])

@@ -139,7 +139,7 @@ def main() -> int:
     )
     parser.add_argument("--seconds", type=float, default=60.0, help="of tests a mutant, the quickest first")
     options = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the worktree goes then, too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # exits so that the worktree is removed
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:
         tree, lines = Path(folder) / "tree", options.lines or Path(folder) / "lines.jsonl"
         commit = lines.read_text().split("\n", 1)[0] if lines.exists() else "HEAD"
@@ -207,7 +207,8 @@ def _tried(tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most
         status = run(["-x", f"@{asked}"], 120.0 + 10.0 * seconds)
     finally:
         file.write_text(source)
-    if status == 4 and run(["--collect-only", f"@{asked}"], 120.0):  # the cause is not a mutant that cannot be imported
+    # Another cause than a mutant that cannot be imported.
+    if status == 4 and run(["--collect-only", f"@{asked}"], 120.0):
         return "not tried", "pytest does not find these tests by their names"
     return "survived" if status == 0 else "killed", f"{len(chosen)} of {len(tests)} tests, {seconds:.0f} s"
 

@@ -22,7 +22,8 @@ class Mutant:
     start: tuple[int, int]
     end: tuple[int, int]
     text: str
-    runs: tuple[int, ...]  # lines of which one must have been run for it to be met; none: run once a process, or unseen
+    # The mutant counts as run if one of these lines was; empty if they run once a process or are not traced.
+    runs: tuple[int, ...]
 
     def applied(self, source: str) -> str:
         """Return the file with the mutant."""
@@ -93,7 +94,7 @@ def _statement(node: ast.stmt, runs: tuple[int, ...]) -> Iterator[Mutant]:
         yield _of("statement", node, "pass", runs)
         return
     if isinstance(node, ast.Expr):
-        if isinstance(node.value, ast.Constant):  # documentation
+        if isinstance(node.value, ast.Constant):  # skip docstrings
             return
         yield _of("statement", node, "pass", runs)
     elif isinstance(node, ast.Continue | ast.AugAssign | ast.Delete) or (
@@ -132,7 +133,8 @@ def _expression(node: ast.AST, runs: tuple[int, ...]) -> Iterator[Mutant]:
         yield _of("constant", node, new, runs)
     if isinstance(node, ast.Call):
         first = node.args[0] if node.args else None
-        if isinstance(node.func, ast.Name) and node.func.id == "param":  # of a block: its default, then words
+        # The default of a parameter; its other arguments are texts.
+        if isinstance(node.func, ast.Name) and node.func.id == "param":
             if isinstance(first, ast.Constant) and (new := _number(first.value)):
                 yield _of("default", first, new, runs)
             node = ast.Call(node.func, node.args[1:], node.keywords)
@@ -140,7 +142,8 @@ def _expression(node: ast.AST, runs: tuple[int, ...]) -> Iterator[Mutant]:
             new = ast.Call(node.func, [node.args[1], node.args[0], *node.args[2:]], node.keywords)
             if ast.unparse(new) != ast.unparse(node):
                 yield _of("argument", node, new, runs)
-        elif node.keywords and node.keywords[-1].arg not in (None, "help", "metavar"):  # not texts of the help
+        elif node.keywords and node.keywords[-1].arg not in (None, "help", "metavar"):
+            # Skip texts of the command line's help.
             yield _of("argument", node, ast.Call(node.func, node.args, node.keywords[:-1]), runs)
     yield from _within(node, runs)
 

@@ -57,7 +57,7 @@ def loaded_functions(packages):
     """All loaded functions of some packages, by file, first line and name."""
     for package in packages:
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            with suppress(Exception, SystemExit):  # modules of an extra that is not installed
+            with suppress(Exception, SystemExit):  # the module needs an optional package that is not installed
                 importlib.import_module(module.name)
     result = defaultdict(list)
     for each in gc.get_objects():
@@ -93,7 +93,7 @@ def put_in(file, mutant, source, functions):
         for function in functions.get((str(file), old.co_firstlineno, old.co_qualname), ()) if old != code else ():
             try:
                 function.__code__ = code
-            except ValueError:  # the function now has other closure variables
+            except ValueError:  # the function has other closure variables than before
                 return False
             done = True
     return done
@@ -214,7 +214,7 @@ def pytest_runtestloop(session):
                 outcome = "survived" if status == 0 else "not tried"
                 break
             by = chosen[status - 1] if 0 < status <= len(chosen) else f"status {status}"
-            if by in items and by not in sound:  # may it be that it fails by itself?
+            if by in items and by not in sound:  # the test may fail without the mutant, too
                 sound[by] = in_fork(lambda by=by: failing([items[by]]), 60.0 + 20.0 * whole) == 0
             if sound.get(by, True):
                 outcome = "killed"

@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / ".ws" / "touching.json"
-CHOSEN = "SOFTRIG_TOUCHING"  # file with the names of tests and of whole test files, one a line
+CHOSEN = "SOFTRIG_TOUCHING"  # a file that lists tests and whole test files, one a line
 
 
 def pytest_collection_modifyitems(config, items):
@@ -77,7 +77,7 @@ class Table:
         self.digests |= digests
         for row in map(json.loads, rows):
             files = set(row["lines"])
-            if row["outcome"] == "failed":  # a failed test may have ended early
+            if row["outcome"] == "failed":  # a failed test may have missed some of its lines
                 files |= set(self.tests.get(row["test"], (0.0, []))[1])
             self.tests[row["test"]] = (row["seconds"], sorted(files))
 
@@ -171,7 +171,7 @@ def main() -> int:
             return 0
     sys.stdout.flush()
     status, rows = _traced(tests, whole, options.n, extra)
-    if status in (0, 1):  # 5: nothing was run, 2: interrupted
+    if status in (0, 1):  # status 5: no test was run; 2: interrupted
         all_run = whole if tests or whole else sorted({_file_of(json.loads(row)["test"]) for row in rows})
         table.update(rows, [] if extra else all_run)
         table.write()

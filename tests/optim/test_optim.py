@@ -288,7 +288,8 @@ def test_a_certified_search_abandons_an_impossible_proof():
     """A source that changes contradicts its own samples; the search still ends, with the corrections."""
     search = CertifiedSearch([0.1], [0.9], matching=Transformer(), n_iter=30)
     while not search.done:
-        sample = ((1.0, 2.0), (2.0, 1.0))[search.evaluations % 2]  # the box between them allows 4 W, none comes
+        # The samples bound the power by 4 W, which the source never reaches.
+        sample = ((1.0, 2.0), (2.0, 1.0))[search.evaluations % 2]
         search.tell(2.0, sample)
     assert search.evaluations == 3 + 30 + 3
 
@@ -370,7 +371,7 @@ def test_the_optimiser_points_a_dish():
     commands = np.array(loop.commands)
     assert np.all(np.abs(commands) <= 1.0)
     changes = np.flatnonzero(np.any(np.diff(commands, axis=0) != 0.0, axis=1))
-    assert np.all(np.diff(changes) % 30 == 0)  # one dwell of 30 ticks a candidate
+    assert np.all(np.diff(changes) % 30 == 0)  # each candidate is held for 30 ticks
 
 
 def test_optimiser_is_reproducible_by_seed():
@@ -405,7 +406,8 @@ def test_a_new_search_starts_only_beyond_the_threshold(met, again):
     assert max(restarts for _, restarts, _ in messages) == again
     assert ("more" in block.reports) == again
     if not again:
-        assert passed[:59] == pytest.approx([n / 60.0 for n in range(1, 60)])  # through the range in two hold_times
+        # The command passes the range in two hold times.
+        assert passed[:59] == pytest.approx([n / 60.0 for n in range(1, 60)])
         assert messages[-1] == (2.0, 0.0, 0.0)
 
 
@@ -413,7 +415,7 @@ def test_a_new_search_starts_only_beyond_the_threshold(met, again):
 
 
 def double(x):
-    return 2 * x, os.getpid()  # in the long set: a worker that is spawned for it imports this file, which takes 2 s
+    return 2 * x, os.getpid()  # a spawned worker imports this file, which takes 2 s, so its tests are in the long set
 
 
 def fail(x):
@@ -491,7 +493,7 @@ def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
 
 
 def test_a_completed_run_leaves_its_process_to_the_next():
-    while _Process.idle:  # idle processes of other tests
+    while _Process.idle:  # other tests may have left idle processes
         _Process.idle.pop().kill()
     nodes = {
         "plant": "plant",
@@ -505,14 +507,14 @@ def test_a_completed_run_leaves_its_process_to_the_next():
     second = run_inprocess(rig, 0)["planner"]
     assert _Process.idle == [left]
     first.block.reset(0)
-    first.block.worker.warm()  # a new request gives it a process again
+    first.block.worker.warm()  # the next request gets the idle process
     assert first.block.worker._process is left
     assert second.block.worker._process is None
 
 
 def test_a_sweep_names_the_missing_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)  # as where the wheel is installed
+    monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)  # as with an installed wheel
     with pytest.raises(
         ScenarioError, match=r"tcp://nowhere:1 needs the package 'distributed': pip install 'softrig\[dask\]'"
     ):
@@ -522,9 +524,9 @@ def test_a_sweep_names_the_missing_package(monkeypatch):
 @pytest.mark.long
 def test_an_address_without_a_scheduler_is_named(monkeypatch):
     import dask
-    import distributed  # first: it sets its defaults
+    import distributed  # imported first, since it sets dask's defaults
 
-    # what the one before left behind is collected at the worst moment: in the thread of the next one's starting loop
+    # Collect garbage of earlier tests here; otherwise it may be collected in the starting thread of the next loop.
     factory = distributed.utils.get_loop_factory
     monkeypatch.setattr(distributed.utils, "get_loop_factory", lambda: (gc.collect(), factory())[1])
     with dask.config.set({"distributed.comm.timeouts.connect": "100ms"}):

@@ -16,7 +16,7 @@ from softrig_optim.pso import ParticleSwarm
 from softrig_optim.scan import Scan
 
 STOPPED, SEARCH, HOLD = range(3)
-PERIOD = 10_000_000  # ns; all times of an account are numbers of ticks
+PERIOD = 10_000_000  # ns; the re-implementations count time in ticks
 
 
 class Transformer:
@@ -171,7 +171,7 @@ class Account:
             self.gaps = 0
             if self.breaks_off(k, sample):
                 return
-        if self.looking is not None:  # through the range in two dwells
+        if self.looking is not None:  # the command passes the range in two hold times
             share = (k - self.looking) / (2 * self.hold)
             if share < 1.0:
                 self.arrived = None
@@ -311,10 +311,11 @@ class Episode:
             self.level, self.drift = draw.choice(self.levels), draw.choice([0.0, 0.0, 0.003, -0.002])
         self.level *= 1.0 + self.drift * (0.5 < self.level < 2.0)
         for k in range(3):
-            if draw.random() < self.calm / (60.0 if k == 1 and not self.down[1] else 12.0):  # stops are rare and short
+            # The source rarely stops, and not for long.
+            if draw.random() < self.calm / (60.0 if k == 1 and not self.down[1] else 12.0):
                 self.down[k] = not self.down[k]
         load = 2.0 / command[0] ** 2 + (0.3 * command[1] if len(command) > 1 else 0.0)
-        a, b, c = 0.1 * load, 1.0 + 0.5 * load, -4.0 * load  # v = load i, and i = 4 - 0.5 v - 0.1 v^2 at level 1
+        a, b, c = 0.1 * load, 1.0 + 0.5 * load, -4.0 * load  # from v = load i and i = 4 - 0.5 v - 0.1 v^2, at level 1
         v = (math.sqrt(b * b - 4.0 * a * c) - b) / (2.0 * a)
         kind = draw.random()
         return (v, self.level * v / load if kind > 0.004 else math.nan), tuple(self.down), kind > 0.996
@@ -388,7 +389,8 @@ def built(**changes):
         ({"measure_window": 0.02}, ""),
         ({"measure_window": 0.021}, "measure_window = 0.021 s is longer than hold_time = 0.02 s"),
         ({"lower": (0.0, 1.0)}, "2 values of lower for 1 channels"),
-        ({"algorithm": "perturb_observe", "initial": 2.0}, "initial is 2.0, expected it within"),  # the search is tried
+        # The initial value is checked by creating the search.
+        ({"algorithm": "perturb_observe", "initial": 2.0}, "initial is 2.0, expected it within"),
         ({"upper": (0.0,)}, "lower < upper"),
     ],
 )

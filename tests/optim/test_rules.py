@@ -20,7 +20,7 @@ from softrig_power.baselines.salp import ImprovedSalpSwarm, SalpSwarm
 from softrig_power.baselines.whale import Whale
 from softrig_power.baselines.wolf import GreyWolf
 
-LOWER, UPPER = (0.5, 1.0, 0.2), (3.5, 2.2, 0.9)  # unlike in all, so that what mixes them up shows
+LOWER, UPPER = (0.5, 1.0, 0.2), (3.5, 2.2, 0.9)  # all different, so that a mix-up is detected
 
 
 def steps(x):
@@ -245,7 +245,7 @@ def test_defaults_are_as_published():
         "RampScan": {"n_ramp": 120, "corrections": 4},
     }
     assert {kind: kind([0.1], [0.9]).rng.random() for kind in (ParticleSwarm, Scan, PerturbObserve)} == {
-        ParticleSwarm: np.random.default_rng(0).random(5)[4],  # behind a population of four
+        ParticleSwarm: np.random.default_rng(0).random(5)[4],  # the number after those for a population of four
         Scan: np.random.default_rng(0).random(),
         PerturbObserve: np.random.default_rng(0).random(),
     }
@@ -255,7 +255,8 @@ SHAPES = {
     "smooth": lambda a, b: lambda x: math.cos(a * x) + 0.3 * b * x,
     "kinked": lambda a, b: lambda x: abs(x - 0.3 * a) + b * abs(x - 1.1),
     "stairs": lambda a, b: lambda x: math.floor(a * (x - b) ** 2),
-    "roots": lambda a, b: lambda x: round(3.0 * a * (math.sqrt(abs(x - b)) - 0.2 * x)),  # many of its values are equal
+    # Rounding makes many of its values equal.
+    "roots": lambda a, b: lambda x: round(3.0 * a * (math.sqrt(abs(x - b)) - 0.2 * x)),
     "fine roots": lambda a, b: lambda x: round(90.0 * a * (math.sqrt(abs(x - b)) - 0.1 * x)),
     "flat": lambda a, b: lambda x: a,
     "falling": lambda a, b: lambda x: -a * x**3 - b * x,
@@ -345,7 +346,7 @@ QUARTERS = st.integers(-1, 12).map(lambda n: n / 4.0)
 @settings(max_examples=40, deadline=None, derandomize=True)
 @example([(0.0, 0.0)] * 40, 2, True)
 @example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(2.0, 1.0)] * 37, 2, True)
-# the first of equal candidates is the best
+# Of equal candidates the first one is the best.
 @example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(0.5, 0.5)] * 37, 2, True)
 def test_searches_along_the_load_line_follow_their_rule(samples, corrections, gap):
     """For any measurements, also impossible ones: the commands, the best, and what is proven when."""
@@ -386,4 +387,4 @@ def test_samples_on_the_way_to_a_command_are_used():
     assert (search.peak, search.bound) == ((4.0, 1.5), None)
     for sample in ((3.0, 2.0), (1.0, 3.0), (5.0, 1.0)):
         search.tell(sample[0] * sample[1], sample)
-    assert search.bound == 9.0  # 3 V and 3 A; without what was passed, 5 V and 2 A
+    assert search.bound == 9.0  # from 3 V and 3 A; if the passed samples did not count, from 5 V and 2 A

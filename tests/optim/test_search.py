@@ -50,7 +50,7 @@ def test_a_search_as_a_value_continues_from_any_of_its_past():
         watched = line[-1].watch((float(k),))
         assert watched != line[-1]
         line.append(watched.tell(5.0 - k))
-    assert len(made) == 1  # one live search serves the newest
+    assert len(made) == 1  # all states share one search object
     assert [reported.now.evaluations for reported in line] == [0, 1, 2, 3]
     assert len(made) > 1
     candidates = [reported.now.ask() for reported in line]
@@ -127,11 +127,11 @@ def test_progress_is_reported_by_tenths_or_after_ten_seconds(monkeypatch, capsys
 @pytest.mark.parametrize(
     ("mean", "room", "workers", "cases", "sizes"),
     [
-        (math.inf, 6, 2, 10, [1] * 6),  # the duration of the first runs is unknown
+        (math.inf, 6, 2, 10, [1] * 6),  # as long as the duration of a run is unknown, chunks have one case
         (1.0, 6, 2, 10, [1] * 6),
-        (0.125, 3, 2, 10, [2, 2, 2]),  # a quarter of a second each
+        (0.125, 3, 2, 10, [2, 2, 2]),  # two cases of 0.125 s fill a quarter of a second
         (0.0625, 3, 2, 10, [4, 4, 2]),
-        (0.0625, 3, 4, 10, [3, 3, 3, 1]),  # the last ones are spread over all workers
+        (0.0625, 3, 4, 10, [3, 3, 3, 1]),  # the last cases are spread over all workers
         (0.0625, 3, 2, 3, [2, 1]),
         (0.0, 2, 2, 2500, [1000, 1000]),
         (1e-9, 2, 2, 1500, [750, 750]),
@@ -146,7 +146,7 @@ def test_cases_are_sent_in_chunks_of_a_quarter_of_a_second(mean, room, workers, 
     chunks = list(pool._chunks(left, room, 0.25, workers))
     assert [len(chunk) for chunk in chunks] == sizes
     assert [case for chunk in chunks for case in chunk] == [(k, k) for k in range(sum(sizes))]
-    assert next(left, (sum(sizes),))[0] == sum(sizes)  # no more were taken
+    assert next(left, (sum(sizes),))[0] == sum(sizes)  # no case was taken from the iterator in advance
 
 
 def test_the_duration_of_a_case_is_estimated_from_the_newest_chunks():
@@ -175,7 +175,8 @@ def test_a_case_whose_worker_dies_three_times_is_abandoned_and_no_other_is_lost(
         if deaths < 3:
             assert dict(pool.stream(lambda case: 10 * case, range(9))) == {k: 10 * k for k in range(9)}
         else:
-            with pytest.raises(RuntimeError, match=r"^the worker of case \d died 3 times$"):  # or of one beside it
+            # A case of the same chunk may be blamed.
+            with pytest.raises(RuntimeError, match=r"^the worker of case \d died 3 times$"):
                 list(pool.stream(lambda case: 10 * case, range(9)))
     assert sum(5 in numbers for numbers in asked) == min(deaths + 1, 3)
     assert all(len(numbers) == 1 for numbers in asked[-1:])

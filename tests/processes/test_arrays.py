@@ -53,7 +53,7 @@ def test_a_reader_that_ignores_the_number_sees_the_matrix():
     expected = values.reshape(2, 3)
     np.testing.assert_array_equal(result.data.reshape([d.size for d in dim]), expected)
     np.testing.assert_array_equal(result.data.reshape(dim[0].size, dim[1].size), expected)
-    for i in range(2):  # as MultiArrayLayout.msg says it
+    for i in range(2):  # the formula in MultiArrayLayout.msg
         for j in range(3):
             assert result.data[offset + dim[1].stride * i + j] == expected[i, j]
     assert dim[0].stride == result.data.size
@@ -138,7 +138,7 @@ def test_other_shape_is_refused(dims):
 
 def test_shape_that_does_not_fit_the_data_is_refused():
     data = bytearray(MATRIX.layout().encode(0, [0.0] * 6))
-    data[data.index(b"000\0") + 5] = 5  # the size of the first dimension
+    data[data.index(b"000\0") + 5] = 5  # damage the size of the first dimension
     with pytest.raises(Refused, match=r"6 values for the shape {'row': 5, 'column': 3}"):
         Decoder(MATRIX)(bytes(data))
     for n in range(len(data)):
@@ -146,7 +146,7 @@ def test_shape_that_does_not_fit_the_data_is_refused():
             parse(MATRIX.msgtype, bytes(data[:n]))
 
 
-# in lockstep: they have no stamp and pair by order
+# In lockstep arrays have no stamp, so they pair by their order.
 
 ARRAYS = {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"}
 
@@ -312,7 +312,7 @@ def test_a_plant_accepts_the_better_array_after_a_bad_one():
     assert [i.refused for i in run.adapters["plant"].inputs] == [1]
 
 
-# in real time: the newest one counts
+# In real time the newest array counts.
 
 
 def test_in_real_time_a_repeated_array_is_rejected_and_a_lost_one_counted(loop):
@@ -347,7 +347,7 @@ def test_in_real_time_a_returning_sender_counts_from_its_first_number(loop, firs
     assert [(i.refused, i.lost) for i in run.adapters["weigh"].inputs] == [(0, 0)] * 2
 
 
-# a plain rclpy node
+# A plain rclpy node.
 
 OUTSIDE = """
 import rclpy
@@ -401,7 +401,8 @@ def test_an_outside_sender_may_number_its_arrays_or_not(loop, label, tmp_path):
     outcome = with_outside_sender(label, False, tmp_path)
     assert outcome.error == ""
     assert not any(s["refused"] for s in outcome.status.values())
-    assert set(differences(in_process(loop), outcome.recording)) == {"lag/matrix"}  # its bytes are its own
+    # Only the bytes of the external topic differ.
+    assert set(differences(in_process(loop), outcome.recording)) == {"lag/matrix"}
 
 
 @pytest.mark.long

@@ -47,7 +47,7 @@ def rig(duration: float = 0.3, **external: Any) -> Rig:
         "answers": "clock",
         "reads": READS,
         "publishes": ["motor/command"],
-        "timeout": 20.0,  # of the wall clock: a machine under load starts a node late
+        "timeout": 20.0,  # s of wall time, since a machine under load starts a node late
     } | external
     del result["nodes"]["dc_motor_metrics"]
     result["nodes"]["dc_motor_smc"]["parameters"] = {"period": PERIOD}
@@ -80,7 +80,8 @@ def test_its_answers_are_those_of_the_inputs_of_the_tick(kind: str, more: dict[s
     command = runs[0].signals["motor/command/armature/effort"]
     assert command[1].tolist() == expected(runs[0], int(kind == "timer"))[: len(command[1])]
     assert len(set(command[1].tolist())) > 5
-    assert runs[0].recording.topics == runs[1].recording.topics  # stamped by order: the same bytes
+    # Stamps are assigned by order, so the bytes are equal.
+    assert runs[0].recording.topics == runs[1].recording.topics
 
 
 @pytest.mark.long
@@ -111,7 +112,7 @@ def test_a_node_that_behaves_differently_ends_the_run_by_name(kind: str, more: d
     ("kind", "external", "message"),
     [
         ("", {"start_timeout": 2.5}, r"no node with a subscription of .*; start it as ROS_DOMAIN_ID="),
-        # without use_sim_time it has no subscription of /clock
+        # Without use_sim_time the node does not subscribe to /clock.
         ("timer", {}, r"/dc_motor_smc/pi is there without a subscription of its clock; start it with -p use_sim_time"),
         (
             "timer",

@@ -64,7 +64,7 @@ class Contained:
         self.carried, self.logs = {}, []
         monkeypatch.setattr(exchange_module, "time", self.clock)
         monkeypatch.setattr(ros, "time", self.clock)
-        # functions that return the number of matched endpoints in other processes, by topic
+        # Functions that return the number of matched endpoints in other processes, by topic.
         self.readers, self.writers = {}, {}
         self.receivers = {}
 
@@ -197,7 +197,7 @@ def test_a_late_node_answers_with_the_messages_published_by_its_tick(held, misse
     run = Contained(Rig.from_blocks({"plant": Both(), "law": Slow(Slow.Params(period=0.03))}, 0.3), monkeypatch)
     run.run(run.epoch + 105_000_000)
     plant, law = run.adapters["plant"], run.adapters["law"]
-    plant.drive._lateness = deque(maxlen=3)  # the largest is of all ticks all the same
+    plant.drive._lateness = deque(maxlen=3)  # few values are kept, but the largest is that of all ticks
     run.clock.t += held
     assert run.run() == {"done"}
     assert (plant.drive.missed, law.drive.missed) == missed
@@ -250,7 +250,7 @@ def test_neither_of_two_writers_is_accepted_until_one_has_left(monkeypatch):
     before = run.adapters["im_plant"].ticks
     run.run(run.epoch + SECOND // 50)
     during = run.adapters["im_plant"].ticks - before
-    assert item.refused == during + 1  # the change itself counts, too
+    assert item.refused == during + 1  # plus the message at which the publisher changed
     assert "2 publishers at the same time" in item.last_refusal
     tell(0)
     refused, ticks = item.refused, controller.ticks
@@ -301,7 +301,7 @@ def test_the_garbage_collector_runs_rarely_while_it_finds_nothing_and_as_usual_o
     assert collector.threshold == YOUNG
     for _ in range(UNCLEAN - 1):
         garbage.step()
-    assert (collector.searches, collector.frozen) == (0, 1)  # at first nothing is known
+    assert (collector.searches, collector.frozen) == (0, 1)  # at first no search is made, as the load is unknown
     for _ in range(CLEAN):
         garbage.step()
     assert (collector.searches, collector.frozen) == (1, 1 + CLEAN)
@@ -322,10 +322,10 @@ def test_a_status_is_complete_while_it_is_changed_in_place(tmp_path, monkeypatch
     plant.account.write_status()
     number, before = path.stat().st_ino, json.loads(path.read_text())
     plant.error, plant.step.t = RuntimeError("x" * 3000), 7
-    plant.account.write_status()  # longer
+    plant.account.write_status()  # longer than the content before
     assert json.loads(path.read_text())["error"] == "x" * 3000
     plant.error = None
-    plant.account.write_status()  # shorter
+    plant.account.write_status()  # shorter than the content before
     assert json.loads(path.read_text()) == before | {"t": 7, "cpu_s": json.loads(path.read_text())["cpu_s"]}
     assert path.stat().st_ino == number
     plant.state, worked = "done", []
@@ -349,7 +349,7 @@ def test_a_container_whose_nodes_have_all_ended_does_not_wait(monkeypatch, state
     assert container._loop(SimpleNamespace(spin_once=lambda _: pytest.fail("it went on")))
     ((until, awake),) = asked
     assert until > now + container_module.LOOK - 1
-    assert awake == container_module.SPIN  # a longer wait sleeps
+    assert awake == container_module.SPIN  # the loop sleeps through a longer wait
 
 
 def test_ticks_older_than_the_window_are_dropped_except_the_newest():
@@ -385,6 +385,6 @@ def test_a_controller_started_alone_begins_with_the_tick_of_its_first_message():
     row.node, row.port, row.table = node, SimpleNamespace(stamped=True, held=False), SimpleNamespace(clock=lambda: 130)
     row.by_arrival, row.paired, row._number = False, False, None
     row.value, row._keep = (lambda stamp, result: result), (lambda *_: None)
-    for stamp in (123, 135):  # the second is not the first
+    for stamp in (123, 135):  # only the first message sets the start
         row.accept(stamp, (1.0,), b"")
         assert node.epoch == 120

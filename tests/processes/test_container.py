@@ -45,7 +45,7 @@ HEADLINES = [
     "rehab_impedance",
     "tcp_aqm_smc",
 ]
-# those whose systems do not run through processes daily; a link, a solver, arrays
+# Rigs whose systems do not run in processes daily; and one each with a link, a solver and arrays.
 DAILY = ("dc_motor_fsfb", "economic_dispatch", "fault_location", "induction_dtc", "pv_mppt", "rectifier_mpc")
 
 
@@ -125,7 +125,7 @@ def test_containers_of_a_scenario_are_checked():
         make_scenario(BASIC, containers=[["plant"], ["plant", "gain"]])
 
 
-# A person with the usual tools: reads a topic, lists the nodes, asks one for a parameter.
+# A user with the usual tools: reads a topic, lists the nodes, requests a parameter.
 PERSON = """
 import json, sys
 import rclpy
@@ -151,7 +151,8 @@ print(json.dumps({"nodes": sorted(node.get_node_names()), "noise": asked.result(
 
 
 def test_each_node_is_on_the_graph_and_the_run_is_unchanged(tmp_path, monkeypatch):
-    monkeypatch.setenv("SOFTRIG_JIT", "0")  # native code would end the run before the other node has joined the graph
+    # Native code would finish the run before the other node has joined the graph.
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
     wired, people = rig(BASIC, 1e4), []
     with free_domain() as domain, (tmp_path / "said").open("w") as text:
 
@@ -184,7 +185,8 @@ def stopped(call):
 
 @pytest.mark.long
 def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
-    wired, people, text = rig(BASIC, 1e7), [], tmp_path / "said"  # the press ends the run at any speed
+    # The press ends the run, so its length does not matter.
+    wired, people, text = rig(BASIC, 1e7), [], tmp_path / "said"
     until = time.monotonic() + PATIENCE
     with free_domain() as domain, text.open("w") as words:
 
@@ -273,7 +275,7 @@ def test_an_outside_controller_closes_the_loop_around_a_container(tmp_path):
     assert len(outcome.recording.topics["lag/command"].data) == 100
 
 
-@pytest.mark.long  # as through processes
+@pytest.mark.long  # as the same test in processes
 def test_a_bad_outside_command_never_reaches_the_plant(tmp_path):
     outcome = with_outside_controller("command.effort = [float('nan')]", tmp_path)
     reason = "u/effort is nan, expected a finite number"
@@ -284,7 +286,7 @@ def test_a_bad_outside_command_never_reaches_the_plant(tmp_path):
 
 
 def test_a_second_publisher_ends_the_run_naming_both(tmp_path, monkeypatch):
-    monkeypatch.setenv("SOFTRIG_JIT", "0")  # native code would end the run before the other publisher is there
+    monkeypatch.setenv("SOFTRIG_JIT", "0")  # native code would finish the run before the other publisher exists
     wired, intruders = rig(BASIC, 1e5), []
     with free_domain() as domain:
 
@@ -321,7 +323,7 @@ def test_a_rig_runs_in_real_time_in_a_container(tmp_path):
         until(lambda: (tmp_path / "read").exists() and (tmp_path / "read").stat().st_size)
         outcome = run(rig(BASIC), tmp_path, domain=domain, clock="realtime")
         assert outcome.error == ""
-        # What the native thread has published to another process is what was recorded, up to the last message.
+        # The native thread must have published everything that was recorded, up to the last message.
         recorded = b"".join(outcome.recording.topics["lag/state"].data)
         until(lambda: (tmp_path / "read").read_bytes().endswith(recorded[-100:]))
         reader.kill()
@@ -330,10 +332,10 @@ def test_a_rig_runs_in_real_time_in_a_container(tmp_path):
     assert recorded.endswith(received)
     assert len(received) > len(recorded) / 10
     status = outcome.status["plant"]
-    times = outcome.recording.topics["lag/state"].times  # on a busy machine it may begin late
+    times = outcome.recording.topics["lag/state"].times  # a busy machine may start late
     assert len(times) + status["missed_deadlines"] == (times[-1] - times[0]) // 10_000_000 + 1
     assert times[-1] - outcome.epoch >= 1_000_000_000
-    assert status["lateness_p50_ms"] >= 0.0  # how late on a quiet machine: tests of the simulated clock
+    assert status["lateness_p50_ms"] >= 0.0  # tests of the simulated clock check how late ticks are
     assert status["round_trip_p50_ms"] > 0.0
 
 
@@ -389,8 +391,8 @@ def test_messages_for_others_are_sent_in_bursts_and_when_there_is_time():
     exchange, sent = Exchange(), []
     for k in range(BURST + 1):
         exchange.carry(sent.append, k)
-        assert sent == ([] if k < BURST - 1 else list(range(BURST)))  # a full burst at once
-    assert exchange.serve(1 << 62) > 0  # nothing else is due, so the rest is published before the loop sleeps
+        assert sent == ([] if k < BURST - 1 else list(range(BURST)))  # a full burst is published in one go
+    assert exchange.serve(1 << 62) > 0  # with nothing else due, the rest is published before the loop sleeps
     assert sent == list(range(BURST + 1))
 
     def again(left):
@@ -399,7 +401,7 @@ def test_messages_for_others_are_sent_in_bursts_and_when_there_is_time():
 
     exchange.carry(sent.append, "late")
     exchange.post(partial(again, 1000))
-    exchange.serve(0)  # no time at all
+    exchange.serve(0)  # with no time left
     assert sent[-1] == "late"
 
 
@@ -434,7 +436,8 @@ def test_timers_repeat_and_can_be_moved():
     so_far = len(fired)
     timer.again(100_000_000_000)
     assert 0 < exchange.serve(1 << 62, awake=1_000_000) <= 100_000_000_000
-    assert exchange.serve(time.monotonic_ns() + 5_000_000, awake=200_000_000_000) == 0  # awake, but not beyond its time
+    # The loop stays awake, but ends in time.
+    assert exchange.serve(time.monotonic_ns() + 5_000_000, awake=200_000_000_000) == 0
     assert len(fired) == so_far
 
 
@@ -491,7 +494,8 @@ def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
         assert 6200 <= unique < 6600
         seen.add((user, unique))
     last = chosen(232)
-    assert last["portBase"] + last["offsetd3"] == 7400 + 11  # above 65,535 there are none
+    # Above 65,535 no port exists, so the standard's numbers hold.
+    assert last["portBase"] + last["offsetd3"] == 7400 + 11
     assert len({user for user, _ in seen}) == len({unique for _, unique in seen}) == 40
     together = set()
     for k in range(50):
@@ -553,6 +557,6 @@ def test_failed_nodes_are_named_among_those_that_had_not_ended(monkeypatch):
     going = node("c", "running")
     assert containers.Container._conclude(SimpleNamespace(adapters=[ended, going]), stopped=True) == 0
     assert going.state == "running"
-    going = node("c", "running", full)  # native ticks that cannot be recorded
+    going = node("c", "running", full)  # its native ticks cannot be recorded
     assert containers.Container._conclude(SimpleNamespace(adapters=[going]), stopped=True) == 3
     assert str(going.error) == "disk full"

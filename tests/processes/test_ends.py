@@ -46,7 +46,7 @@ def test_a_signal_becomes_an_interrupt_once_and_the_handlers_are_restored():
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(5)
         finally:
-            os.kill(os.getpid(), signal.SIGTERM)  # impatience while things are cleared up
+            os.kill(os.getpid(), signal.SIGTERM)  # a second signal while the first one is handled
 
     with pytest.raises(Stopped) as caught, stoppable():
         stopped_twice()
@@ -73,10 +73,11 @@ def test_a_second_signal_that_arrives_with_the_first_changes_nothing_and_prints_
     """Otherwise Python prints a traceback for a signal that its handler has caught and that is ignored by then."""
 
     def both(*numbers):
-        # Both are pending when Python looks: it calls the handlers in the order of their numbers.
+        # Both signals are pending when Python checks, so it calls their handlers by number.
         signal.pthread_sigmask(signal.SIG_BLOCK, stopping.SIGNALS)
         for number in numbers:
-            signal.pthread_kill(threading.get_ident(), number)  # another thread would receive it unblocked
+            # Another thread would receive the signal although this one blocks it.
+            signal.pthread_kill(threading.get_ident(), number)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, stopping.SIGNALS)
 
     for first, second in itertools.combinations(stopping.SIGNALS, 2):
@@ -106,26 +107,27 @@ def test_leftovers_of_dead_processes_are_removed_and_those_of_living_ones_stay(t
              "sem.fastrtps_port7411_mutex", "fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el",
              "fastrtps_port7661", "fastrtps_port7001", "sem.fastrtps_port7001_mutex", "other"]  # fmt: skip
     for name in names:
-        # in other domains complete ports stay and half-created ones are removed; lock files are empty
+        # In other domains complete ports stay, and half-created ones are removed. Lock files are empty.
         (tmp_path / name).write_bytes(b"" if name.endswith("_el") else bytes(8) if "7001" in name else MADE)
         os.utime(tmp_path / name, (0, 0))
-    (tmp_path / "fastrtps_port7002").touch()  # just begun
-    # created by a process that gets no processor
+    (tmp_path / "fastrtps_port7002").touch()  # a port that is still being created
+    # Ports created by a process that does not get the processor for a while.
     for name, begun in (("fastrtps_port7003", b""), ("fastrtps_port6300", MADE)):
         (tmp_path / name).write_bytes(begun)
         os.utime(tmp_path / name, (time.time() - 30.0,) * 2)
-    os.utime(tmp_path / "fastrtps_00cc_el")  # just made: its owner may be about to lock it
+    os.utime(tmp_path / "fastrtps_00cc_el")  # a new file, which its owner may be about to lock
     lock = f"f = open('{tmp_path}/fastrtps_00bb_el'); fcntl.flock(f, fcntl.LOCK_EX)"
     code = f"import fcntl; {lock}; print(1, flush=True); input()"
     owner = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     owner.stdout.readline()
-    assert remove_leftovers(folder=tmp_path) == 4  # a port of another domain may be about to be opened
+    # A complete port of another domain stays, because a node may be about to open it.
+    assert remove_leftovers(folder=tmp_path) == 4
     assert remove_leftovers(0, tmp_path) == 3
     left = {"fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el", "other"}
     left |= {f"fastrtps_port{number}" for number in (6300, 7002, 7003)}
     assert {p.name for p in tmp_path.iterdir()} == left | {"fastrtps_port7661"}
     owner.communicate(b"\n")
-    assert remove_leftovers(1, tmp_path) == 3  # of an ended domain: also ports without a lock
+    assert remove_leftovers(1, tmp_path) == 3  # the domain has ended, so ports without a lock are removed as well
     left -= {"fastrtps_00bb", "fastrtps_00bb_el"}
     assert {p.name for p in tmp_path.iterdir()} == left
     os.utime(tmp_path / "fastrtps_port6300", (0, 0))
@@ -136,7 +138,7 @@ def test_a_node_waits_for_a_port_in_creation_and_removes_one_whose_creator_is_de
     """A process that opens it would wait forever."""
     monkeypatch.setattr(shared_memory, "AGE", 0.5)
     ports = [tmp_path / f"fastrtps_port{7400 + 250 + k}" for k in range(4)]
-    plain = tmp_path / "fastrtps_port7005"  # of a node that is not ours, in any domain
+    plain = tmp_path / "fastrtps_port7005"  # a port of another program, in any domain
     plain.touch()
     for port in ports:
         port.write_bytes(MADE)
@@ -155,7 +157,8 @@ def test_missing_room_in_shared_memory_is_reported(tmp_path, monkeypatch):
     assert lacking(4, tmp_path / "none") == f"{tmp_path}/none: No such file or directory"
     assert lacking(0, tmp_path) == ""
     assert lacking(10**12, tmp_path).startswith(f"{tmp_path} has ")
-    monkeypatch.setattr(os, "access", lambda folder, mode: False)  # root may write anywhere but in what is mounted so
+    # Root can write everywhere except on a read-only file system, which this simulates.
+    monkeypatch.setattr(os, "access", lambda folder, mode: False)
     assert lacking(0, tmp_path) == f"{tmp_path} cannot be written"
 
 
@@ -186,33 +189,34 @@ def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
     port, lock, other, others, foreign = (tmp_path / f"fastrtps_port{name}" for name in names)
     for file in (port, other, foreign):
         file.write_bytes(bytes(8))
-    with ExitStack() as opened:  # two of its own, as each node has
+    with ExitStack() as opened:  # two ports of this process, as each node has
         for path in (port, other):
             opened.enter_context(mmap.mmap(opened.enter_context(path.open("r+b")).fileno(), 8))
         opened.enter_context(lock.open("w"))
         opened.enter_context(others.open("w"))
         ears = Ears()
         assert ears.lost() == ""
-        foreign.unlink()  # a port of a peer
+        foreign.unlink()  # removing the port of a peer is no loss
         assert ears.lost() == ""
         port.unlink()
         assert [ears.lost(), ears.lost()] == [port.name] * 2
         port.write_bytes(bytes(8))
         assert ears.lost() == port.name
         with port.open("r+b") as new, mmap.mmap(new.fileno(), 8):
-            assert ears.lost() == ""  # opened anew, as Fast DDS does where one is damaged
+            assert ears.lost() == ""  # Fast DDS opens a damaged port again, which repairs the loss
     assert Ears().lost() == ""
 
 
 def test_a_process_marks_its_ports_as_alive(tmp_path):
     """Otherwise a process that opens an idle port waits for its reader, up to 20 s."""
     port, now = tmp_path / "fastrtps_port7661", time.time_ns() // 1_000_000
-    head = struct.pack("=4I", 7661, 1, 20_000, 6666)  # the number alone is not enough
+    # The head of a port is recognised by all its numbers, not only by that of the port.
+    head = struct.pack("=4I", 7661, 1, 20_000, 6666)
     node = struct.pack("=qI2I", now - 30_000, 3, 0, 0) + head + struct.pack("=3I", 512, 1, 7)
     port.write_bytes(MADE + bytes(36) + head + bytes(16) + node + bytes(100))
     before = port.read_bytes()
     place = before.index(node)
-    assert place % 8 == 0  # the alignment of the compiler
+    assert place % 8 == 0  # the compiler aligns this structure to 8 bytes
     with ExitStack() as opened:
         opened.enter_context(mmap.mmap(opened.enter_context(port.open("r+b")).fileno(), 8))
         opened.enter_context((tmp_path / "fastrtps_port7661_el").open("w"))
@@ -223,7 +227,8 @@ def test_a_process_marks_its_ports_as_alive(tmp_path):
             assert (after[:place], after[place + 8 :]) == (before[:place], before[place + 8 :])
             assert now <= struct.unpack_from("=q", after, place)[0] <= time.time_ns() // 1_000_000
             port.write_bytes(before)
-        port.write_bytes(foreign := before.replace(head, bytes(16)))  # a file of another version of Fast DDS
+        # A file of another version of Fast DDS must not be changed.
+        port.write_bytes(foreign := before.replace(head, bytes(16)))
         assert [Ears().lost(), port.read_bytes()] == ["", foreign]
 
 
@@ -240,7 +245,7 @@ def test_a_node_waits_until_its_reader_has_replaced_a_damaged_port(tmp_path, mon
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
     """For example by a module that is being imported: the node would then wait for its peers."""
-    # a shell that starts the tests in the background has SIGINT ignored
+    # A shell that runs the tests in the background ignores SIGINT, and children inherit that.
     code = (
         "import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from softrig_core.interrupt import interrupt; interrupt.install()\n"
@@ -329,7 +334,8 @@ def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_traceback(fo
         monkeypatch.setattr(os, "pidfd_open", lambda pid: strike() or open_(pid))
     else:
         monkeypatch.setattr(spawning, "start_node", lambda *_: None)
-        os.register_at_fork(after_in_parent=strike)  # a trace is an error
+        # The hook raises within `fork`, whose traceback must not be printed.
+        os.register_at_fork(after_in_parent=strike)
     outcome = run_processes(rig_of(make_scenario(BASIC, 1e4)), 0, tmp_path)
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     assert no_process_left(tmp_path)
@@ -348,7 +354,7 @@ def test_what_code_of_a_node_has_started_and_left_ends_with_the_run():
 @pytest.mark.processes
 @pytest.mark.parametrize("containers", [pytest.param((), marks=pytest.mark.long), [("plant", "source", "gain")]])
 def test_nodes_whose_processes_are_stopped_end_the_run_by_name(containers, tmp_path):
-    # At full speed native code would end the run before the signal arrives.
+    # At full speed, native code would end the run before the signal arrives.
     placement = Placement(containers=containers, pace=100.0)
     rig = rig_of(make_scenario(BASIC, 1e4, timeout=2.0))
 
@@ -379,7 +385,7 @@ def test_a_node_that_is_stopped_for_less_than_the_timeout_is_waited_for(held, se
             threading.Timer(strikes.pop(), go_on, [pid]).start()
 
     def go_on(pid):
-        with suppress(ProcessLookupError):  # the run has not waited for it
+        with suppress(ProcessLookupError):  # the run may not have waited for this process
             os.kill(pid, signal.SIGCONT)
 
     outcome = run_processes(rig, 0, tmp_path, Placement(), Listener(progress=progress))
@@ -430,7 +436,7 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
         str(out),
         "--no-plots",
     ]
-    received = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also where the tests themselves run under nohup
+    received = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # under nohup the tests themselves ignore SIGHUP
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=received)
 
     def runs():

@@ -15,7 +15,7 @@ SYSTEMS = [
     "tcp_aqm_smc",
 ]  # fmt: skip
 KINDS = FaultParams.model_fields["kind"].annotation.__args__
-SMALL = 1e-6  # so that the controllers continue
+SMALL = 1e-6  # so small that the controllers keep working
 NUMBERS = {
     "scale": {"value": [1.0 + SMALL]},
     "saturate": {"value": [1e6]},

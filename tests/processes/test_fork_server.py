@@ -68,7 +68,7 @@ def test_each_node_is_a_separate_process(tmp_path):
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     assert sorted(name for name, *_ in seen.values()) == ["gain", "plant", "source"]
     (server,) = {parent for _, parent, *_ in seen.values()}
-    assert server == fork_server._server._process.pid  # forked, not started one by one
+    assert server == fork_server._server._process.pid  # the fork server has forked all nodes
     for pid, (name, _, group, command) in seen.items():
         assert group == pid
         assert command[0] == os.fsencode(sys.executable)
@@ -79,7 +79,7 @@ def test_each_node_is_a_separate_process(tmp_path):
 def test_it_has_its_own_directory_environment_arguments_output_and_end(package, monkeypatch):
     monkeypatch.chdir(package.folder)
     assert package("say", LINES="7").wait(60) == 0
-    assert package("say", "a b").wait(60) == 0  # nothing of the first one's, with which the server began
+    assert package("say", "a b").wait(60) == 0  # nothing of the first process, with which the server started, is left
     assert (package.folder / "say.log").read_text() == f"{package.folder} 7 ['a b'] one\n"
     assert package("fail").wait(60) == 3
     sleeper = package("sleep")
@@ -88,7 +88,7 @@ def test_it_has_its_own_directory_environment_arguments_output_and_end(package, 
         sleeper.wait(0.01)
     sleeper.kill()
     assert sleeper.wait(60) == sleeper.poll() == -signal.SIGKILL
-    sleeper.kill()  # no longer used by any process
+    sleeper.kill()  # the process number is no longer in use
 
 
 @pytest.mark.long
@@ -98,7 +98,7 @@ def test_an_edited_module_is_imported_again_and_running_nodes_continue(package):
     package.file.write_text(TOOLS.replace('"one"', '"two, another"'))
     assert package("say").wait(60) == 0
     assert (package.folder / "say.log").read_text().endswith("two, another\n")
-    assert sleeper.poll() is None  # a child of the replaced server
+    assert sleeper.poll() is None  # the process is a child of the server that was replaced
     sleeper.kill()
     assert sleeper.wait(60) == -signal.SIGKILL
 
@@ -147,7 +147,7 @@ def test_a_node_has_its_own_status_although_another_had_its_process_id_before(mo
     ends = iter((signal.SIGKILL, 0))
     monkeypatch.setattr(fork_server, "_fork", lambda request, asleep: 7)
     monkeypatch.setattr(os, "waitpid", lambda pid, options: (pid, next(ends)))
-    monkeypatch.setattr(os, "_exit", sys.exit)  # of this thread alone
+    monkeypatch.setattr(os, "_exit", sys.exit)  # ends only this thread
 
     def ask(**request):
         near_end.send(json.dumps(request | {"number": 0}).encode())
@@ -204,7 +204,7 @@ def test_many_runs_through_one_server_leave_no_file_open(tmp_path, monkeypatch):
     (descriptors, its_descriptors, *their_threads, near_end, its) = zip(*seen[5:], strict=True)
     for counted in (descriptors, its_descriptors, *their_threads):
         assert max(counted) == counted[0]
-    assert near_end[-1] - near_end[0] < 15 + 0.03 * runs  # MB
+    assert near_end[-1] - near_end[0] < 15 + 0.03 * runs  # MB; the server may grow by 15 MB and 0.03 MB for each run
     assert its[-1] - its[0] < 2
 
 

@@ -110,7 +110,7 @@ def test_the_frames_of_a_robot_are_forward_kinematics_of_its_joint_states(tmp_pa
     compared = 0
     for message in (STORE.deserialize_cdr(bytes.fromhex(data), TF) for data in messages["tf"]):
         stamp = message.transforms[0].header.stamp
-        if (stamp.sec, stamp.nanosec) not in at:  # from before the joint states were read
+        if (stamp.sec, stamp.nanosec) not in at:  # the transform is older than the first joint state that was read
             continue
         compared += 1
         for x, pose in zip(message.transforms, scene.moving(at[stamp.sec, stamp.nanosec]), strict=True):

@@ -78,7 +78,7 @@ def test_the_lease_of_launched_nodes_follows_the_timeout(place, lag, monkeypatch
     for profile_path in ("", "/their/own.xml"):
         monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", profile_path)
         for node in nodes_of(values):
-            if profile_path:  # arguments that launch passes on
+            if profile_path:  # arguments that the launch file passes on
                 assert node.variables == {}
             else:
                 (profile,) = node.variables.values()
@@ -118,7 +118,7 @@ def test_every_system_ends_by_itself(system, mode, tmp_path, monkeypatch):
     file.write_text(f"extends: {system}\ntitle: launched\nduration: {duration!r}\n")
     monkeypatch.chdir(tmp_path)
     assert load_scenario(str(file)).duration == duration
-    # thousands of ticks a second over DDS are more than two cores carry, and late commands trip these plants
+    # Thousands of ticks a second over DDS exceed two cores, and late commands trip these plants.
     place = "container" if mode == "realtime" and system in ("gupfc", "rectifier_mpc") else "processes"
     with free_domain() as domain:
         values = {"scenario": str(file), "mode": mode, "place": place}
@@ -195,7 +195,7 @@ def test_a_launch_that_is_judged_ends_with_a_status(lag, tmp_path, monkeypatch, 
         status, printed = launch(values, environment(domain, tmp_path))
     assert (status, printed.splitlines()[-1]) == (1, "judged: status 1")
     assert "claim last" in capsys.readouterr().out
-    assert not (tmp_path / "runs").exists()  # no recording was requested
+    assert not (tmp_path / "runs").exists()  # the launch file did not request a recording
 
 
 @pytest.mark.processes
@@ -225,7 +225,7 @@ def test_a_launch_that_is_terminated_ends_in_order(lag, monkeypatch):
     before = signal.getsignal(signal.SIGTERM)
     try:
         nodes = nodes_of({"scenario": "lag"}, emit_event_sync=events.append)
-        signal.raise_signal(signal.SIGTERM)  # launch receives the signal through a file descriptor
+        signal.raise_signal(signal.SIGTERM)  # launch receives the signal through its file descriptor
     finally:
         signal.signal(signal.SIGTERM, before)
     (launched,) = {node.on_exit.args[0] for node in nodes}
@@ -236,7 +236,7 @@ def test_a_launch_that_is_terminated_ends_in_order(lag, monkeypatch):
 
 
 def test_nodes_end_with_a_launch_that_is_killed(tmp_path):
-    node = (  # it waits for nothing that ends with the launch
+    node = (  # the node must not end for another reason than the end of the launch
         "import time\nfrom softrig_core.interrupt import interrupt\n"
         "interrupt.install(); print('up', flush=True); time.sleep(1e3)"
     )
@@ -248,14 +248,15 @@ def test_nodes_end_with_a_launch_that_is_killed(tmp_path):
     with subprocess.Popen([sys.executable, "-c", launch], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"up\n"
         process.kill()
-        assert process.communicate(timeout=PATIENCE)[0] == b""  # no process holds the pipe any more
+        assert process.communicate(timeout=PATIENCE)[0] == b""  # the pipe ends when no process holds it any more
 
 
 def test_an_unknown_argument_of_our_launch_file_is_reported():
     words = ["ros2", "launch", "softrig_bringup", "rig.launch.py", "scenarioo:=1"]
     assert strange(words).startswith("scenarioo: no argument of rig.launch.py (did you mean 'scenario'?); expected")
     assert strange([*words[:4], "scenario:=lag", "seed:=1"]) == ""
-    assert strange(["ros2", "launch", "theirs.launch.py", "scenarioo:=1"]) == ""  # includes ours, say
+    # Another launch file may pass its arguments on to softrig's.
+    assert strange(["ros2", "launch", "theirs.launch.py", "scenarioo:=1"]) == ""
 
 
 @pytest.mark.parametrize(
@@ -301,7 +302,7 @@ def test_external_nodes_are_not_launched_and_waited_for_without_limit(lag):
 def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_path):
     """The recording equals that of the same run in process, from t = 0 on, whatever the recorder leaves out."""
     with free_domain() as domain:
-        variables = environment(domain, tmp_path, silence=PATIENCE)  # a busy host may hold the recorder
+        variables = environment(domain, tmp_path, silence=PATIENCE)  # on a busy host the recorder may pause for long
         with recording(tmp_path / "bag", variables, *topics) as recorder:
             status, printed = launch({"scenario": "lag", "mode": "lockstep"}, variables)
             recorder.send_signal(signal.SIGINT)

@@ -70,11 +70,11 @@ def test_a_gain_a_fault_and_a_button_in_real_time_are_repeated_in_lockstep(tmp_p
     turned = {name for change in metrics["changes"] for name in change["set"]}
     assert turned == {"kp", "ki", "active", "value"}
     bag = read_bag(tmp_path / "run" / "bag")
-    assert len(bag.topics["joint_states/offset/toggle"].times) == 2  # down and up
+    assert len(bag.topics["joint_states/offset/toggle"].times) == 2  # the press and its release
     assert main(["run", "--like", str(tmp_path / "run"), "--mode", "inprocess", "--no-plots", "--out",
                  str(tmp_path / "again")]) == 0  # fmt: skip
     printed = capsys.readouterr().err
-    late = "that run was late: " in printed  # a machine that does not keep up
+    late = "that run was late: " in printed  # the machine was too slow for real time
     assert ("run number for number: " in printed) or (late and "differs from" in printed), printed
     again = json.loads((tmp_path / "again" / "metrics.json").read_text())
     assert [(c["at_s"], c["set"]) for c in again["changes"]] == [(c["at_s"], c["set"]) for c in metrics["changes"]]

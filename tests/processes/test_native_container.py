@@ -27,16 +27,16 @@ class Container:
         self.expected = in_process(rig, 1)
         monkeypatch.setattr(choice, "cost", lambda steps: 0.0)
         monkeypatch.setattr(choice, "unwanted", lambda steps, left, runs: "")
-        # its tables are those of numpy all the same
+        # Not `plain` itself, so that the tables are those of numpy.
         monkeypatch.setattr(choice, "compiled", make or (lambda text: plain(text)))
         monkeypatch.setattr(engine, "SHORTEST", 50)
         monkeypatch.setattr(fitted, "SHORTEST", 50)
-        monkeypatch.setattr(engine, "SHORT_GO", -1.0)  # no go is longer
+        monkeypatch.setattr(engine, "SHORT_GO", -1.0)  # so that every go ends at once
         monkeypatch.setattr(fitted, "_texts", [])
         if make is None:
             monkeypatch.setattr(Engine, "_compile_in_thread", lambda self, k: False)
         monkeypatch.setattr(engine, "LOOK", 5)
-        monkeypatch.setattr(turns, "SLICE", -1)  # a look at the others after each go
+        monkeypatch.setattr(turns, "SLICE", -1)  # check the other nodes after each go
         monkeypatch.setattr(SimulatedNode, "mute", True)
         self.rig, self.world, self.folder, process = rig, World(), folder, object()
         self.adapters, self.nodes = {}, {}
@@ -80,7 +80,7 @@ def test_without_external_nodes_native_code_answers(name, duration, tmp_path, mo
     container = Container(rig, tmp_path, monkeypatch)
     reported = container.ends_as_in_process()
     ticks = rig.clock.schedule.ticks
-    assert reported[rig.clock.name] == (ticks - 1, "")  # the first and the last are Python's
+    assert reported[rig.clock.name] == (ticks - 1, "")  # the first and the last tick run in Python
     assert container.clock.account.status()["tick_p50_ms"] > 0.0
 
 
@@ -125,7 +125,7 @@ def test_an_external_subscriber_gets_each_message_from_its_arrival_on(tmp_path, 
     world.match()
     last = container.clock.ticks
     reported = container.ends_as_in_process()
-    world.run(world.now + 10**7)  # messages in transit arrive
+    world.run(world.now + 10**7)  # deliver the messages that are under way
     topic = container.expected.topics[output.topic.removeprefix("/")]
     assert received == topic.data[first : first + len(received)]
     assert last - first <= len(received) + 1

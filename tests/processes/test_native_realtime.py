@@ -70,7 +70,7 @@ class Ticking:
         self.exchange, prepare = Exchange(), native.Native.prepare
 
         def prepare_and_start(made):
-            prepare(made)  # this may take seconds
+            prepare(made)  # compiling may take seconds
             self.epoch = (time.time_ns() // SECOND + 1) * SECOND
             for drive in made._drives:
                 drive.node.epoch = self.epoch
@@ -110,7 +110,7 @@ class Ticking:
         """The recordings after the run, all messages of which are published."""
         assert {(a.state, a.error) for a in self.adapters.values()} == {("done", None)}
         self.carrier.drain()
-        self.carrier.put(0, b"")  # ends the thread
+        self.carrier.put(0, b"")  # an empty message ends the thread
         recording = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
         for name, adapter in self.adapters.items():
             adapter.record.shard.close()
@@ -154,8 +154,8 @@ def test_ticks_are_native_with_the_numbers_of_lockstep_and_a_subscriber_receives
     assert run.plant.ticks == run.law.ticks == len(data)
     assert run.adapters["dc_motor_metrics"].ticks == len(data)
     assert 0.0 <= statistics["lateness_p50_ms"] <= statistics["lateness_max_ms"]
-    assert len(run.plant.drive._round_trip) == 5000  # the newest
-    # figures of an observer that has seen all messages
+    assert len(run.plant.drive._round_trip) == 5000  # only the newest are kept
+    # The observer has seen all messages.
     assert run.adapters["dc_motor_metrics"].account.status()["figures"]
 
 
@@ -216,7 +216,7 @@ def counting(first, last, n, c, s, out):
     return (x,)
 
 
-counting.__qualname__ = "counting_1"  # names the code in the cache
+counting.__qualname__ = "counting_1"  # the code is cached under this name
 
 
 @pytest.fixture(scope="module")
@@ -247,16 +247,17 @@ class Once:
 
 def test_the_loop_runs_each_tick_at_its_time_and_fills_the_ring(loop):
     begun = time.monotonic_ns()
-    once = Once(loop, 0, 4, over=30_000_000)  # 10 ms
+    once = Once(loop, 0, 4, over=30_000_000)  # the period is 10 ms
     assert time.monotonic_ns() - begun >= 30_000_000
     assert (once.why, once.reached, once.result) == (_ticking.ASKED, 4, (18.0,))
     assert once.out[:, 0].tolist() == [10.0, 12.0, 14.0, 16.0]
     assert (once.spans[:, 0] >= 0).all()
-    # The publisher is due at every second tick: stamps are 5 s and 0 or 20 ms, and the message has the row's number.
+    # The publisher is due at every second tick, so stamps are 5 s and 5.02 s. The message ends with the number of its
+    # row.
     assert once.slots[7:9, ::2].tolist() == [[9, 24]] * 2
     for k, slot in enumerate(once.slots[7:9]):
         message = (ctypes.c_int64 * 3).from_address(int(slot[1]))
-        # its number is taken from the row of the member's own tick
+        # The number is that of the row at the node's own tick.
         assert list(message) == [5 + (20_000_000 * k << 32), -1, int(once.out[k : k + 1].view(np.int64)[0, 0])]
     assert once.live[_ticking.NEXT] == 9
     assert once.live[_ticking.ROOM] == SLOTS - 2

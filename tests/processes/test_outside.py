@@ -41,7 +41,8 @@ def relay(rig, member, expected, reads, names, realtime=False):
     topics = [CLOCK]
     if calls is not None:
         topics = [{"topic": p.topic, "type": p.msgtype} for p in [calls, *(p for p in reads if p is not calls)]]
-    elif member is rig.clock:  # without a command it is paced by the node that acknowledges its ticks
+    elif member is rig.clock:
+        # The clock has no command to wait for, so it follows the node that acknowledges its ticks.
         caller = next(m for m in rig.leaves() if member in [k.source for k in m.links.values()])
         topics = [{"topic": f"{caller.name}/tick", "type": TICK}]
     schedule = caller.schedule
@@ -90,7 +91,7 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
     with free_domain() as domain:
 
         def announce(text):
-            if not outside:  # other nodes have the same patience before they declare it dead
+            if not outside:  # other nodes have the same time limit for a silent node
                 variables = environment(domain, home, silence=patience)
                 outside.extend(subprocess.Popen(c, env=variables) for c in commands)
 
@@ -129,11 +130,11 @@ def replaced(rig, name, directory, seed=0):
     for member in own_rig.members:
         for port in member.outputs:
             result, wanted = outcome.recording.topics[port.topic], expected.topics[port.topic]
-            if member.external and port.sporadic:  # the run does not wait for its last messages
+            if member.external and port.sporadic:  # the run may end before its last messages arrive
                 same = set(result.data) <= set(wanted.data)
             elif member.external or member.name not in chance:
                 same = (result.times, result.data) == (wanted.times, wanted.data)
-            else:  # the tick of arrival is random, but it publishes at each of its ticks
+            else:  # messages arrive at random ticks, but the node publishes at each of its ticks
                 same = port.sporadic or result.times == wanted.times
             wrong += [] if same else [port.topic]
     return wrong + [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s.get("refused")]
@@ -144,7 +145,7 @@ def replaceable(rig):
     return [m.name for m in rig.members if m.name != CLOCK_NODE]
 
 
-@pytest.mark.long  # the daily set has the run in real time and the plain plant below
+@pytest.mark.long  # the daily tests have the same run in real time, and the plain plant below
 @pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_plant", "motor_reference"])
 def test_a_plain_node_replaces_a_softrig_node(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []

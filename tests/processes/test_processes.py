@@ -74,7 +74,7 @@ RIGS = {
 }  # fmt: skip
 
 
-# the others' shapes stand in a container (test_container.py) daily
+# Rigs of other shapes run in a container daily (test_container.py).
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in RIGS])
 def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
     nodes, duration = RIGS[name]
@@ -167,7 +167,7 @@ def test_a_node_read_only_by_slower_ones_is_waited_for(tmp_path):
     assert differences(in_process(wired), outcome.recording) == []
 
 
-@pytest.mark.long  # daily in a container
+@pytest.mark.long  # runs in a container daily
 def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_path):
     wired = rig(BASIC, 1e4)
     people = []
@@ -243,7 +243,7 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
     while int(process.stdout.readline()) == 0:
         pass
     os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=PATIENCE)  # each node gets up to 9 s, and the machine may be busy
+    process.communicate(timeout=PATIENCE)  # each node may take up to 9 s, on a busy machine more
     assert no_process_left(tmp_path)
 
 
@@ -352,12 +352,8 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", sta
                 wired, 0, directory, Placement(domain=domain, clock=mode), Listener(announce=announce)
             )
             arrived = messages.index("gain is there")
-            assert all(
-                "CYCLONEDDS_URI" in text for text in messages[1:arrived]
-            )  # of one that a busy machine starts late
-            assert all(
-                "refused a message on lag/command" in text for text in messages[arrived + 1 :]
-            )  # while the run goes on
+            assert all("CYCLONEDDS_URI" in text for text in messages[1:arrived])
+            assert all("refused a message on lag/command" in text for text in messages[arrived + 1 :])
             return wired, outcome
         finally:
             for process in outside:
@@ -382,14 +378,14 @@ def test_real_time_begins_when_the_outside_controller_has_joined(tmp_path):
     assert outcome.error == ""
     command = Signals(outcome.recording, outcome.epoch)["lag/command/u/effort"]
     assert 0.0 <= command.t[0] < 0.5
-    assert len(command.t) > 20  # of 101 ticks: on a loaded machine some are late
+    assert len(command.t) > 20  # of 101 ticks; on a loaded machine some are late
     assert len({s["epoch"] for s in outcome.status.values()}) == 1
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("extra", "reason"),
-    [  # each refusal of a message's content is held against the codec, too
+    [  # tests of the codec cover each of these refusals as well
         ("command.effort = [float('nan')]", "u/effort is nan, expected a finite number"),
         *(
             pytest.param(*row, marks=pytest.mark.long)
@@ -470,7 +466,7 @@ def test_a_link_loses_a_rejected_measurement_and_the_run_continues(tmp_path):
     assert late.x == pytest.approx([0.0] * 3 + list(lost), abs=1e-12)
 
 
-@pytest.mark.long  # daily in a container
+@pytest.mark.long  # runs in a container daily
 def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
     wired = rig(BASIC, 1e4)
     with free_domain() as domain:

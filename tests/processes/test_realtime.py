@@ -46,7 +46,7 @@ def test_nodes_started_one_by_one_close_the_loop_and_stop_on_ctrl_c(bench):
         assert bench.ends(name) == 0
     t, x = bench.signal("plant", STATE)
     assert abs(x).max() > 0.01
-    # the rate is the wall clock's: the n-th message is stamped n periods after the first
+    # The wall clock sets the rate: message n is stamped n periods after the first, including missed ones.
     assert t[-1] - t[0] == pytest.approx(0.01 * (len(t) - 1 + bench.status("plant")["missed_deadlines"]), abs=1e-6)
     assert bench.status("plant")["round_trip_p50_ms"] < 1000
 
@@ -93,7 +93,7 @@ def test_a_timer_that_is_always_late_lets_messages_through():
             timer.again(period - time.monotonic_ns() % period, period)
             late.append(len(late))
             executor.create_task(received.append, late[-1])
-            time.sleep((0.0003, 0.0008, 0.0011)[len(late) % 3])  # a different phase to the grid of ticks each time
+            time.sleep((0.0003, 0.0008, 0.0011)[len(late) % 3])  # so that the phase to the ticks differs each time
             if len(late) == 400:
                 over.set_result(None)
 
@@ -145,7 +145,7 @@ def test_no_port_of_a_living_node_is_judged(bench):
     assert len(ports) == 4
     for port in ports:
         with port_node(port) as (node, begin):
-            # the byte after the flags of the first of its readers: how often it stirred, and when it was judged last
+            # This byte follows the flags of the first reader: its count of activity, and when it was last checked.
             stirred = node[begin - 20 + 20_632 + 1]
         assert (stirred & 15, stirred >> 4) == (1, 0)
 

@@ -23,7 +23,8 @@ from softrig_nodes.ros.ros import RosMiddleware, ServingNode, plain
 
 ROOT = Path(__file__).parents[2]
 FMUS = ("fmu_controller", "fmu_plant")  # these nodes require a file
-DAILY = ("dc_motor_smc", "profile_generator", "reference_source", "rectifier_plant")  # optional numbers, lists, a plant
+# One each with optional numbers, with lists, and a plant.
+DAILY = ("dc_motor_smc", "profile_generator", "reference_source", "rectifier_plant")
 
 
 def executables():
@@ -34,7 +35,7 @@ def executables():
             try:
                 block = load_block(file.parent.name, name)
                 block.Params()
-            except (ScenarioError, ValueError):  # a tool; a block without defaults
+            except (ScenarioError, ValueError):  # an executable that is a tool, or a block without defaults
                 continue
             yield pytest.param(name, block, marks=[] if name in DAILY else pytest.mark.long, id=name)
 
@@ -86,12 +87,12 @@ def other(declared, value):
 def test_tuned_dumped_and_loaded_it_is_the_same(name, block, tmp_path, domain):
     file = tmp_path / "dump.yaml"
 
-    def dumped():  # as `ros2 param dump` has it
+    def dumped():  # the content of a file by `ros2 param dump`
         values = {n: plain(p) for n, p in node._parameters.items()}
         file.write_text(yaml.dump({name: {"ros__parameters": values}}))
         return values
 
-    def loaded():  # as by `ros2 param load`: why something is refused
+    def loaded():  # sets the values as `ros2 param load` does, and returns the refusals
         results = done(client.load_parameter_file(str(file))).results
         assert len(results) == len(node._parameters)
         return [r.reason for r in results if not r.successful]
@@ -102,13 +103,13 @@ def test_tuned_dumped_and_loaded_it_is_the_same(name, block, tmp_path, domain):
         assert (loaded(), dumped()) == ([], values)
         wanted = [(d.name, other(d, before[d.name])) for d in declarations(block.Params) if d.live]
         done(client.set_parameters([Parameter(n, value=v) for n, v in wanted if v is not None and v != []]))
-        values = dumped()  # some may not fit, which is refused
+        values = dumped()  # the node may have refused some of the values
     with started(name, block, domain, file) as (node, adapter, client, done):
         again = flatten(adapter.block.p)
         assert {n: again[n] for n in before if n in values} == {n: values[n] for n in before if n in values}
         assert (loaded(), dumped()) == ([], values)
     with started(name, block, domain) as (node, adapter, client, done):
-        loaded()  # what is live is as it was tuned, the rest is refused
+        loaded()  # live parameters get their tuned values; the node refuses the others
         live = {d.name for d in declarations(block.Params) if d.live}
         now = {n: plain(p) for n, p in node._parameters.items()}
         assert {n: now[n] for n in live & now.keys()} == {n: values[n] for n in live & values.keys()}

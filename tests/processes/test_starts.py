@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.long, pytest.mark.processes]
 def trial(seed):
     """One start; returns its kind and what is wrong with it."""
     rng = random.Random(seed)
-    kind = rng.choice([k for k in KINDS if k != "solver"])  # its work is slow, its start that of any other
+    kind = rng.choice([k for k in KINDS if k != "solver"])  # a solver is slow, but starts as any other node
     rig, expected = rig_and_record(kind)
     what = rng.random()
     outside = guests(kind, rng)[:1] if what < 0.3 else ()
@@ -63,7 +63,7 @@ def killings():
                 pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
                 victim = subprocess.Popen([sys.executable, "-c", JOINS], env=variables, **pipes)
                 victim.stdout.readline()
-                # half of them while it makes its files and finds the others, half when it is there
+                # Kill half of them while they create files and discover others, and half after that.
                 over.wait(rng.uniform(0.0, 0.1) * busy() if rng.random() < 0.5 else rng.uniform(0.1, 1.5))
                 victim.kill()
                 victim.communicate()

@@ -86,7 +86,7 @@ def test_parameters_set_by_services_and_by_the_command_are_checked(tmp_path):
             )
             assert second.returncode == 1
             assert "law refuses delta, c: " in second.stderr
-            # no message can represent this number
+            # No message can hold this number.
             for number in ("99999999999999999999999", "[99999999999999999999999]"):
                 third = subprocess.run([*command[:-2], "law.delta", number], env=bench.environment, timeout=60,
                                        capture_output=True, text=True)  # fmt: skip
@@ -103,7 +103,8 @@ def test_parameters_set_by_services_and_by_the_command_are_checked(tmp_path):
     assert not text["period"][0][0]
     assert "c out of range" in text["c"][0][1]
     assert "parameter delta = 'much'" in text["wrong"][0][1]
-    assert [ok for ok, _ in text["both"]] == [True, False]  # each value separately, because not all are valid
+    # Each value is applied separately, so the valid one is set.
+    assert [ok for ok, _ in text["both"]] == [True, False]
     assert "beyond reference_limit" in text["both"][1][1]
     assert [ok for ok, _ in text["in one"]] == [True, True]
     assert [ok for ok, _ in text["whole"] + text["as it is"]] == [True, True, True]
@@ -132,7 +133,7 @@ print(json.dumps([[r.successful, r.reason] for r in found]))
 def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_path):
     """For a plant that takes milliseconds to be set up again: each set is answered, and each change recorded."""
     with free_domain() as domain:
-        pass  # the run reserves it
+        pass  # only find a free domain; the run reserves it itself
     variables = Bench(tmp_path, domain).environment
     person = subprocess.Popen([sys.executable, "-c", FLOOD, "im_plant"], env=variables, stdout=subprocess.PIPE)
     command = ["run", "induction_dtc", "--duration", duration, "--mode", mode, "--no-plots", "--domain", str(domain),
@@ -160,7 +161,7 @@ def test_no_call_of_a_live_node_changes_type_range_or_existence(seed, tmp_path, 
     The first one waits for nobody: it answers ticks without end, and its services all the same.
     """
     for name, value in os.environ.items():
-        monkeypatch.setenv(name, value)  # the attack sets some
+        monkeypatch.setenv(name, value)  # the test itself sets some of these
     services.attack(seed, tmp_path)
 
 

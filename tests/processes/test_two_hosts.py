@@ -28,7 +28,7 @@ from softrig_nodes.ros.profile import joining
 from test_processes import BASIC, rig
 
 pytestmark = pytest.mark.processes
-DISTURBED = ("5", "5", "5")  # ms late, ms more or less (which reorders), % lost
+DISTURBED = ("5", "5", "5")  # delay in ms, jitter in ms (which reorders frames), loss in %
 
 
 def command(*words, **keys):
@@ -105,7 +105,7 @@ def test_two_parts_of_a_rig_make_the_bag_of_the_whole(tmp_path):
         statuses, text = run_parts(PARTS, domain, tmp_path)
     assert statuses == [0, 0], text
     assert f"plant, source here, domain {domain}; elsewhere: gain" in text[0]
-    assert len(list((tmp_path / "0/log").glob("*.log"))) == 1  # both in one container
+    assert len(list((tmp_path / "0/log").glob("*.log"))) == 1  # both nodes are in one container, which has one log
     bag = read_bag(repair(tmp_path / "all").bag)
     assert differences(in_process(rig(BASIC, 1.0)), bag) == []
 
@@ -137,7 +137,7 @@ def test_the_profile_of_this_host_differs_only_in_its_sockets(tmp_path, monkeypa
     own, other = (re.sub(transports, "", file.read_text(), flags=re.S) for file in (LOOPBACK, PROFILE))
     assert own == other
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
-    for discovery, local in (("LOCALHOST", True), ("SUBNET", False)):  # as `run` writes it
+    for discovery, local in (("LOCALHOST", True), ("SUBNET", False)):  # as `run` writes the profile
         result = environment(1, tmp_path, discovery=discovery, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"]
         assert ("<address>127.0.0.1</address>" in Path(result).read_text()) == local
 
@@ -175,11 +175,12 @@ def test_a_node_that_does_not_ask_for_other_hosts_is_not_reachable_from_them(var
     with joining():
         text = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
     assert ("<address>127.0.0.1</address>" in text) == (profile == LOOPBACK)
-    with joining(silence=10.0):  # a node that is started singly: held for less than its patience, it is not dead
+    with joining(silence=10.0):  # a node started alone: it counts as dead only after its patience
         text = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
     assert "<leaseDuration><sec>12</sec></leaseDuration>" in text.replace("\n", "").replace(" ", "")
     left = os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE")
-    assert left == variables.get("FASTRTPS_DEFAULT_PROFILES_FILE")  # a run started here later takes one of its own
+    # Later runs of this process write a profile of their own.
+    assert left == variables.get("FASTRTPS_DEFAULT_PROFILES_FILE")
 
 
 @pytest.mark.long
@@ -226,7 +227,7 @@ def test_a_node_on_another_host_finds_no_local_node(how, tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("disturbance", [(), DISTURBED])
 def test_two_hosts_give_the_bytes_of_one(disturbance, tmp_path):
-    # reserved although the hosts have networks of their own: /dev/shm is one for all
+    # The hosts have separate networks but share /dev/shm, so the domain is reserved.
     with free_domain() as domain, two_hosts(disturbance) as hosts:
         statuses, text = run_parts(PARTS, domain, tmp_path, [["ip", "netns", "exec", host] for host in hosts])
     assert statuses == [0, 0], text

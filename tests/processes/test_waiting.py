@@ -63,7 +63,7 @@ def test_a_controller_on_a_wrong_topic_is_reported_with_the_right_one():
     assert messages == []
     node = SimulatedNode(run.world, "somebody", {})
     node.publisher("lag/comand", COMMAND.msgtype, lambda count: None)
-    node.publisher("joint_states", "sensor_msgs/msg/Imu", lambda count: None)  # another type, so it is ignored
+    node.publisher("joint_states", "sensor_msgs/msg/Imu", lambda count: None)  # its type differs, so it is ignored
     run.run(1.0)
     look(), look()
     assert messages == [
@@ -196,7 +196,7 @@ def test_a_run_longer_than_the_time_of_a_start_counts_as_begun(groups, monkeypat
     run = SimulatedRig(rig, world, "lockstep", groups=groups, start_timeout=0.3, timeout=5.0)
     began = world.now
     assert set(run.run().values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
-    assert world.now - began > 300 * MS  # the start_timeout
+    assert world.now - began > 300 * MS  # start_timeout
     assert differences(in_process(rig), run.recording) == []
 
 
@@ -344,8 +344,8 @@ def test_a_clock_that_was_set_back_is_named_as_a_reason(monkeypatch):
     clock, now = supervision.SystemClock(), time.time
     assert clock.set_back() == ""
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
-    assert clock.set_back() == ""  # a clock that is set forward is not reported
-    monkeypatch.setattr(time, "time", now)  # back to the true time, an hour before the last reading
+    assert clock.set_back() == ""  # a clock that moves forward needs no report
+    monkeypatch.setattr(time, "time", now)  # set to the true time, an hour before the last reading
     text = "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
     assert clock.set_back() == text
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)

@@ -73,7 +73,8 @@ def test_the_tool_is_displaced_by_force_over_stiffness():
     arm = compile_arm(read_urdf(TWO), "tool", ("shoulder", "elbow"), 0.05)
     place = np.array(arm.tool(q))
     jacobian = place[3:].reshape(3, 2)
-    force = jacobian @ np.linalg.solve(jacobian.T @ jacobian, np.array([1.0, 0.5]))  # in the plane of the arm
+    # This force lies in the plane of the arm.
+    force = jacobian @ np.linalg.solve(jacobian.T @ jacobian, np.array([1.0, 0.5]))
     force *= 4.0 / np.linalg.norm(force)
     rows, _ = closed("impedance", q, q, 4000, force=tuple(force), stiffness=2000.0, damping=100.0, kd=1.0)
     shift = np.array(arm.tool(tuple(rows[-1]))[:3]) - place[:3]

@@ -40,14 +40,14 @@ class Drawn(NamedTuple):
     what: str
 
 
-# delays: the rightmost root of det(s I - A - Ad exp(-s h)) -----------------------------------------------------------
+# delays: the rightmost root of det(s I - A - Ad exp(-s h)) ---------------------------------------------------------
 
 
 def rightmost(A, Ad, h, points=24):
     """Largest real part of the characteristic roots (1/s): collocation of the generator at Chebyshev points."""
     n = len(A)
     k = np.arange(points + 1)
-    theta = 0.5 * h * (np.cos(np.pi * k / points) - 1.0)  # from 0 to -h
+    theta = 0.5 * h * (np.cos(np.pi * k / points) - 1.0)  # Chebyshev points from 0 to -h
     c = np.where((k == 0) | (k == points), 2.0, 1.0) * (-1.0) ** k
     gap = theta[:, None] - theta[None, :]
     D = np.outer(c, 1.0 / c) / (gap + np.eye(points + 1))
@@ -64,7 +64,7 @@ def a_linear_system(rng, most=3):
     A = rng.normal(size=(n, n)) - rng.uniform(-0.5, 2.5) * np.eye(n)
     Ad = rng.uniform(0.2, 2.0) * rng.normal(size=(n, n))
     delays = np.geomspace(0.02, 6.0, 12) * rng.uniform(0.7, 1.4)
-    # a coarse estimate that guides the draw; the exact check follows
+    # A coarse estimate to guide the draw; the exact check follows.
     signs = [rightmost(A, Ad, h, 10) < 0.0 for h in delays]
     ends = [k for k in range(11) if signs[k] != signs[k + 1]]
     if not ends or rng.random() < 0.4:
@@ -106,7 +106,7 @@ def search_of_constant_delays(rng):
     what = f"low = {low!r} high = {high!r} A = {A.tolist()} Ad = {Ad.tolist()}"
     if certificate is None:
         return Drawn(False, True, what)
-    top = min(certificate.h, 30.0)  # beyond this delay collocation needs more points
+    top = min(certificate.h, 30.0)  # collocation is accurate up to this delay
     return Drawn(
         True, stable(A, Ad, np.linspace(max(certificate.shortest, 1e-3 * top), top, 60)), f"{certificate.h} {what}"
     )
@@ -186,14 +186,15 @@ def margin_by_simulation(rng):
     what = f"{low!r} to {high!r} A = {A.tolist()} Ad = {Ad.tolist()}"
     try:
         result = pwa_margin(linear(A, Ad), low, high, rng.normal(size=len(A)), 120.0 * h, steps=30, width=1e-3 * h)
-    except ValueError:  # no margin in it, or no swings
+    except ValueError:  # the range has no margin, or the motion no maxima
         return Drawn(False, True, what)
     below = [d for d in result.growth if d < result.low - 1e-3 * h]
     edge = rightmost(A, Ad, result.h)
     return Drawn(True, stable(A, Ad, below) and abs(edge) < 0.02 / h, f"{result.h!r} edge {edge:.3g} {what}")
 
 
-# the tank: a delay that does its worst -------------------------------------------------------------------------------
+# the tank: a delay that does its worst
+# -------------------------------------------------------------------------------
 
 
 def lowest_level(h, s, kL, kR, c, start, rng):
@@ -271,7 +272,7 @@ def schur(matrix):
     """
     n = len(matrix)
     p, power = [Fraction(1)], [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
-    for k in range(1, n + 1):  # Faddeev and LeVerrier
+    for k in range(1, n + 1):  # the method of Faddeev and LeVerrier
         power = times(matrix, power)
         p.append(-sum((power[i][i] for i in range(n)), Fraction(0)) / k)
         for i in range(n):
@@ -326,7 +327,7 @@ def dual_mode_of_matrices(rng):
     edge = float(rng.choice([0.5, 0.9, 1.0 - 1e-6, 1.0 - 1e-13, 1.0, 1.0 + 1e-13, 1.0 + 1e-6, 1.2]))
     closed *= edge / size
     cost = rng.normal(size=(1, n))
-    if rng.random() < 0.4:  # a root on the circle that neither cost nor feedback sees
+    if rng.random() < 0.4:  # a root on the circle that affects neither cost nor feedback
         left = np.linalg.qr(rng.normal(size=(n, n)))[0] + 0.3 * rng.normal(size=(n, n))
         roots = np.diag([edge, *rng.uniform(-0.8, 0.8, n - 1)])
         closed = left @ roots @ np.linalg.inv(left)
@@ -334,7 +335,7 @@ def dual_mode_of_matrices(rng):
     a = closed - b @ gain
     q, r = cost.T @ cost, float(rng.uniform(0.1, 2.0))
     if edge < 0.99:
-        seen = float(rng.choice([0.0, 1e-3]))  # without, Qbar may be flat in a direction
+        seen = float(rng.choice([0.0, 1e-3]))  # with zero, Qbar may be flat in one direction
         terminal = solve_discrete_lyapunov((a + b @ gain).T, q + r * gain.T @ gain + seen * np.eye(n))
     else:
         terminal = np.eye(n)
@@ -356,7 +357,8 @@ def dual_mode_of_matrices(rng):
 def dual_mode_of_a_model(rng):
     roots = rng.uniform(-1.4, 1.4, int(rng.integers(1, 4)))
     a = tuple(np.poly(roots).tolist())
-    zeros = rng.choice(roots, 1) if rng.random() < 0.3 else rng.uniform(-1.5, 1.5, len(roots) - 1)  # may cancel
+    # A zero may cancel a root.
+    zeros = rng.choice(roots, 1) if rng.random() < 0.3 else rng.uniform(-1.5, 1.5, len(roots) - 1)
     model, r, q = (
         Carima(a, tuple(np.atleast_1d(np.poly(zeros)).tolist())),
         *(float(v) for v in 10.0 ** rng.uniform(-3.0, 3.0, 2)),
@@ -381,7 +383,8 @@ def gains_of_the_arm(rng):
     mu = Coefficients.of(a1, a2, b1, b2, printed)
     surfaces = np.polymul([1.0, a1, a2], [1.0, b1, b2])
     loop = np.polyadd([1.0, *mu, 0.0, 0.0], np.polymul([k, gamma], surfaces))
-    sigma_alone = np.allclose([1.0, *mu], surfaces, rtol=1e-12)  # then sigma' = f - f-hat - k sigma and nothing else
+    # Then sigma' = f - f-hat - k sigma, without other terms.
+    sigma_alone = np.allclose([1.0, *mu], surfaces, rtol=1e-12)
     roots = np.roots(loop)
     size = float(np.max(np.abs(roots)))
     return Drawn(
@@ -410,7 +413,7 @@ def dispatch(rng):
         least = units.total(enumerate_kinks(units, demand))
     except InfeasibleError:
         least = math.inf
-    for _ in range(200):  # also other dispatches, balanced by one unit
+    for _ in range(200):  # further dispatches, balanced by one unit
         P = units.p_min + rng.random(len(units)) * (units.p_max - units.p_min)
         j = int(rng.integers(len(units)))
         P[j] += demand - P.sum()
@@ -454,7 +457,7 @@ def dispatch_with_conditions(rng):
     what = f"{units.table.tolist()} {nans.tolist()} {conditions} demand {demand!r} least {least}"
     try:
         result = Optimiser(units, tol=1e-2, max_nodes=200_000).conditioned(demand, conditions)
-    except InfeasibleError as error:  # infeasibility is a proof if it is reported as one
+    except InfeasibleError as error:  # the optimiser must have proven that no dispatch exists
         return Drawn("no dispatch found" not in str(error), least == math.inf, f"{error} {what}")
     meets = abs(result.P.sum() - lost.of(result.P) - demand) < 1e-5
     meets = meets and np.all((conditions.low - 1e-9 <= result.P) & (conditions.high + 1e-9 >= result.P))
@@ -499,7 +502,7 @@ def bound_of_a_search(rng):
     true, before = True, 1.0
     while not search.done:
         d = search.ask()[0]
-        for way in np.linspace(before, d, 6)[1:-1]:  # seen by a search that uses transients
+        for way in np.linspace(before, d, 6)[1:-1]:  # a search may also use samples between two candidates
             search.watch(operate(way))
         sample, before = operate(d), d
         search.tell(sample[0] * sample[1], sample)
@@ -510,7 +513,8 @@ def bound_of_a_search(rng):
     )
 
 
-# case: draws a day, draws of the long test (35 CPU s and less each), least share that is certified and that is not
+# For each case: draws daily, draws of the long test (at most 35 CPU s each), least shares of certified and of refused
+# draws.
 CASES = {
     dual_mode_of_matrices: (60, 3500, 0.1, 0.3),
     dual_mode_of_a_model: (10, 400, 0.5, 0.0),
@@ -546,13 +550,13 @@ def test_no_certificate_is_false(case):
 
 
 @pytest.mark.long
-@pytest.mark.timeout(1800)  # wall-clock seconds on a shared machine
+@pytest.mark.timeout(1800)  # s of wall time, on a shared machine
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_no_certificate_of_ten_thousand_is_false(case):
     _, draws, valid, refused = CASES[case]
     certified = judge(case, draws, 2)
     print(f"\n| {case.__name__} | {draws} | {certified} | 0 |")
-    assert valid * draws <= certified <= (1.0 - refused) * draws  # both kinds are among them
+    assert valid * draws <= certified <= (1.0 - refused) * draws  # the draw includes both certified and refused cases
 
 
 def test_the_long_test_takes_ten_thousand():

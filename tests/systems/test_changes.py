@@ -40,7 +40,7 @@ def test_dc_motor_twice_the_inertia_half_the_acceleration():
     velocity = [s[1] for s in speeds]
     assert velocity[0] > 0.0
     assert velocity[1] == pytest.approx(0.5 * velocity[0], rel=1e-3)
-    still = DcMotorPlant(Ke=0.1)  # without load the end speed is what the back-EMF and friction allow
+    still = DcMotorPlant(Ke=0.1)  # without a load, back-EMF and friction determine the final speed
     speed = moved(still, round(60.0 / still.p.period), command=(6.0,))["state"][1]
     p = still.p
     assert speed == pytest.approx(6.0 * p.Kt / (p.R * p.b + p.Kt * p.Ke), rel=1e-3)
@@ -102,7 +102,7 @@ def test_manipulator_of_twice_the_mass_falls_as_fast():
     heavy = _free_fall(
         ManipulatorPlant(links={"mass": [2.0 * m for m in (19.0, 18.18, 10.99)]}, position=(0.3, 0.2, -0.4))
     )
-    assert heavy != pytest.approx(falls[0], rel=1e-3)  # masses alone: the inertias stay
+    assert heavy != pytest.approx(falls[0], rel=1e-3)  # only the masses are doubled, not the inertias
 
 
 def _free_fall(plant):
@@ -139,9 +139,9 @@ def test_tcp_with_twice_the_flows_has_half_the_window():
         assert run.signals["network/truth/queue/position"].x[-1] == pytest.approx(120.0, abs=0.5)
         windows.append(run.signals["network/state/window/position"].x[-1])
         round_trip = 0.2 + 120.0 / 3750.0
-        assert windows[-1] == pytest.approx(round_trip * 3750.0 / flows, rel=0.01)  # W = R C/N
+        assert windows[-1] == pytest.approx(round_trip * 3750.0 / flows, rel=0.01)  # W = R C/N in the steady state
         p = run.signals["aqm/command/drop_probability/effort"].x[-1]
-        assert p == pytest.approx(2.0 / windows[-1] ** 2, rel=0.02)  # W^2 p = 2
+        assert p == pytest.approx(2.0 / windows[-1] ** 2, rel=0.02)  # W^2 p = 2 in the steady state
     assert windows[1] == pytest.approx(0.5 * windows[0], rel=0.01)
 
 
@@ -176,7 +176,8 @@ def test_pv_string_in_half_the_light_gives_half_the_current():
     currents = []
     for light in (800.0, 400.0):
         plant = PvPlant(irradiance=(light,) * 4)
-        outputs = moved(plant, 400, duty=(0.85,), environment=None)  # far left of the maximum: a current source
+        # Far left of the maximum the string is a current source.
+        outputs = moved(plant, 400, duty=(0.85,), environment=None)
         currents.append(outputs[next(iter(outputs))])
         assert plant.p.irradiance == (light,) * 4
     index = int(np.argmin([abs(b / a - 0.5) for a, b in zip(*currents, strict=True)]))
@@ -191,7 +192,7 @@ def test_rectifier_of_twice_the_capacitance_sags_half_as_fast():
         quiet = moved(plant, 5, command=(drop,), events=None)["dc_link"][0]
         assert quiet == pytest.approx(400.0, abs=1e-3)
         sags.append(400.0 - moved(plant, 1, command=(drop,), events=(8.0, 180.0, 0.0))["dc_link"][0])
-    # at constant power v^2 approaches half its value with the time constant R_L C/2
+    # At constant power, v^2 decays to half its value with the time constant R_L C/2.
     for sag, C in zip(sags, (990e-6, 1980e-6), strict=True):
         v = 400.0 * math.sqrt(0.5 + 0.5 * math.exp(-2.0 * 0.83e-3 / (8.0 * C)))
         assert sag == pytest.approx(400.0 - v, rel=2e-3)

@@ -144,7 +144,7 @@ def test_stamps_in_nanoseconds_are_kept(tmp_path):
 def test_old_dates_have_the_month_first(tmp_path):
     assert read_settings(File(tmp_path, revision="1991").cfg()).start - read_settings(
         File(tmp_path, revision="1999").cfg()
-    ).start == pytest.approx(-28 * 86400e9)  # 3 February against 2 March, of 2024
+    ).start == pytest.approx(-28 * 86400e9)  # read as 3 February 2024 instead of 2 March
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_clocks_that_are_not_good_enough_are_refused_for_two_recorders(tmp_path,
     assert refused.value.status == Status.UNSYNCHRONISED
     one = File(tmp_path)
     one.tail = r.tail
-    assert read(one).rate == RATE  # both ends of one recorder share a clock
+    assert read(one).rate == RATE  # two records of one recorder share its clock
 
 
 def test_the_stated_clock_error_enters_the_budget_and_the_frequency_is_the_recorders(tmp_path):
@@ -190,7 +190,8 @@ def test_the_part_with_the_fastest_rate_is_used_or_the_one_with_the_trigger(tmp_
     file = File(tmp_path, x=np.vstack([slow, fast] if slow_first else [fast, slow]))
     parts = [("1000", 100), ("4000", 500)] if slow_first else [("4000", 400), ("1000", 500)]
     file.nrates, file.rates = "2", [f"{rate},{last}" for rate, last in parts]
-    begin = 99 / 1000.0 + 1 / 4000.0 if slow_first else 0.0  # each sample one period of its own rate after the last
+    # Each sample follows the last one by the period of its own rate.
+    begin = 99 / 1000.0 + 1 / 4000.0 if slow_first else 0.0
     file.us = np.zeros(500, dtype=int)
     data = read(file)
     assert (data.rate, len(data.samples), data.start) == (RATE, 400, pytest.approx(begin))
@@ -434,7 +435,7 @@ def test_a_field_without_effect_is_reported_once_if_it_is_not_empty(tmp_path):
 
 # the table -----------------------------------------------------------------------------------------------------------
 
-#: Of each used field of the table: a text of the settings, and another that says something else.
+# : For each used field of the table: a part of the settings, and a replacement with another meaning.
 CHANGES = {
     "rev_year": (",2013", ",2014"),
     "TT": ("12,12A", "13,12A"),
@@ -463,7 +464,7 @@ CHANGES = {
     "time_code": ("0,0\r\n4,0", "z,0\r\n4,0"),
     "tmq_code": ("4,0\r\n", "z,0\r\n"),
 }
-OF_DATA = {"n", "timestamp", "missing value", "CFF: CFG", "CFF: DAT"}  # tested above
+OF_DATA = {"n", "timestamp", "missing value", "CFF: CFG", "CFF: DAT"}  # tested above with values
 
 
 def reading(tmp_path, old="", new=""):

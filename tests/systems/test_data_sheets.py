@@ -19,7 +19,7 @@ from softrig_power.dcdc.rated import buck
 PLATE = {"power": 7500.0, "voltage": 400.0, "current": 14.5, "frequency": 50.0, "speed": 1455.0, "cos_phi": 0.85}
 LESS = {k: v for k, v in PLATE.items() if k != "cos_phi"}
 CIRCUIT = {"R_s": 0.7, "R_r": 0.5, "L_ls": 0.004, "L_lr": 0.005, "L_m": 0.1}
-# maxon EC 45 flat as in `bldc_six_step`
+# The maxon EC 45 flat of `bldc_six_step`.
 FLAT = {"voltage": 24.0, "speed": 5240.0, "torque": 0.0843, "current": 2.36, "pole_pairs": 8.0, "K_t": 0.0335,
         "R_tt": 1.03, "L_tt": 5.72e-4, "J": 1.35e-5}  # fmt: skip
 SUPPLY = {"U_in": 28.0, "U_out": 15.0, "current": 5.0, "f_sw": 1e5}
@@ -32,7 +32,8 @@ def drawn(plant, slip, voltage, frequency):
     own = complex(plant["R_s"], w * (plant["L_sigma"] + plant["L_M"]))
     across, rotor = 1j * w * plant["L_M"], complex(plant["R_R"] / slip, w * plant["L_M"])
     U = voltage / math.sqrt(3.0)
-    i_s = U * rotor / (own * rotor - across * across)  # u = own i_s + across i_r, 0 = across i_s + rotor i_r
+    # Voltage equations of stator and rotor: u = own i_s + across i_r, 0 = across i_s + rotor i_r.
+    i_s = U * rotor / (own * rotor - across * across)
     i_r = -across * i_s / rotor
     return i_s, 3.0 * abs(i_r) ** 2 * plant["R_R"] * (1.0 - slip) / slip, plant["L_M"] * (i_s + i_r)
 
@@ -45,7 +46,7 @@ def test_an_induction_machine_draws_the_current_of_its_name_plate(plate):
     cosine = plate.get("cos_phi", 7500.0 / (math.sqrt(3.0) * 400.0 * 14.5 * 0.88))
     assert math.cos(cmath.phase(current)) == pytest.approx(cosine, rel=1e-12)
     assert abs(flux) * math.sqrt(2.0) == pytest.approx(drive.law["flux"], rel=1e-12)
-    assert 1.0 < power / 7500.0 < 1.15  # iron and friction are not in the model
+    assert 1.0 < power / 7500.0 < 1.15  # the model has neither iron losses nor friction
     assert drive.plant["pole_pairs"] == 2
 
 
@@ -68,7 +69,7 @@ def test_a_phase_of_a_brushless_machine_has_half_of_the_terminal_resistance():
     plant = bldc(FLAT).plant
     assert [plant[n] for n in ("R", "L", "k_e")] == pytest.approx([0.515, 2.86e-4, 0.01675])
     by_speed = bldc({k: v for k, v in FLAT.items() if k != "K_t"} | {"K_v": 285.05})
-    assert by_speed.plant["k_e"] == pytest.approx(0.01675, rel=1e-4)  # 285 1/min/V is 33.5 mN m/A
+    assert by_speed.plant["k_e"] == pytest.approx(0.01675, rel=1e-4)  # 285 1/min/V correspond to 33.5 mN m/A
     assumed = bldc({k: FLAT[k] for k in ("voltage", "speed", "torque", "current", "pole_pairs")}).plant
     K = 2.0 * assumed["k_e"]
     assert pytest.approx(0.0843) == K * 2.36
@@ -80,10 +81,10 @@ def test_the_parts_of_a_buck_converter_give_the_requested_ripples():
     result = buck({**SUPPLY, "ripple_current": 1.0, "ripple_voltage": 0.05})
     L, C, T, D = result.plant["L"], result.plant["C"], 1e-5, 15.0 / 28.0
     assert pytest.approx(1.0) == (28.0 - 15.0) * D * T / L
-    # the charge above the mean, a triangle of half the ripple and half the period, moves the capacitor
+    # The charge of the ripple above its mean, a triangle of half its size and half a period, sets the voltage ripple.
     assert 0.5 * (T / 2.0) * 0.5 / C <= 0.05
     assert 2.0 * math.pi * 1e5 * math.sqrt(L * C) >= 48.0 * (1.0 - 1e-9)
-    # the gain of controller and converter is 1 at the crossover that is named
+    # The loop gain of controller and converter is 1 at the stated crossover.
     law, w = result.law, 2.4 / math.sqrt(L * C)
     assert abs(law["kp"] * complex(1.0, w * law["t_d"])) * 28.0 / (w * w * L * C) == pytest.approx(1.0)
 
@@ -112,8 +113,9 @@ HOSTILE = [
     (induction, {}, "missing power, voltage, current, frequency, speed: .* known are power"),
     (induction, {**PLATE, "power": 7.5}, "efficiency = 0.0008783 by power, .* expected 0.2 to 0.99; power is in W"),
     (induction, {**PLATE, "speed": 1500.0}, "slip of 0, expected 0 to 0.3; the name plate has the speed under load"),
-    (induction, {**PLATE, "speed": 152.4}, "19 pole pairs: is it in 1/min"),  # rad/s
-    (induction, {**PLATE, "pole_pairs": 4.0}, "4 pole pairs: a slip of -0.94"),  # poles
+    (induction, {**PLATE, "speed": 152.4}, "19 pole pairs: is it in 1/min"),  # the speed is in rad/s by mistake
+    # Number of poles instead of pole pairs.
+    (induction, {**PLATE, "pole_pairs": 4.0}, "4 pole pairs: a slip of -0.94"),
     (induction, {**PLATE, "pole_pairs": 1.5}, "whole number"),
     (induction, {**PLATE, "cos_phi": 85.0}, "between 0 and 1"),
     (induction, {**PLATE, "R_s": 700.0}, "leave no voltage"),
@@ -203,7 +205,7 @@ BOTH, HALF = (-2.0, -1.0, 0.0, 1.0, 2.0), (0.0, 1.0, 2.0)
         (InductionPlant, {"L_sigma": 21e-6}, "L_sigma = 2.1e-05 H"),
         (PmsmPlant, grid(BOTH, BOTH, lambda d, q: -0.1 * d, lambda d, q: 0.1 * q), "without a fold"),
         (PmsmPlant, grid(BOTH, BOTH, lambda d, q: 0.1 * d + 0.2 * q, lambda d, q: 0.2 * d + 0.1 * q), "cross coupling"),
-        # the determinant is positive in all cells but one, and along each axis everywhere
+        # The determinant is positive in all cells but one, so only that cell is at fault.
         (PmsmPlant, grid(BOTH, BOTH, lambda d, q: 0.1 * d + 0.012 * max(d, 0) ** 2 * q, lambda d, q: 0.1 * q + 0.3 * d),
          "cross coupling"),
         (PmsmPlant, grid(BOTH, HALF, lambda d, q: 0.1 * d, lambda d, q: 0.1 * q + 0.01), "expected 0 at i_q = 0"),

@@ -194,9 +194,11 @@ def second_implementation(step, compensation, delay=8, dt=0.01, limit=140.0):
     return np.array(positions)
 
 
-# a reference calculation ----------------------------------------------------------------------------------------------
+# a reference calculation
+# ---------------------------------------------------------------------------------------------
 
-# step, overrides: rise s, settling s, overshoot %, peak to peak 6..8 s mm, peak u mm, peak v mm/s
+# For step and overrides: rise time and settling time (s), overshoot (%), peak to peak from 6 to 8 s (mm), largest u
+# (mm), largest v (mm/s).
 REFERENCE = {
     "5 none": (0.929, 3.37, 2.76, 0.146, 51.2, 11.1),
     "5 predictor": (0.955, 1.72, 0.52, 0.028, 27.5, 6.7),
@@ -252,7 +254,7 @@ def test_both_gain_sets_come_from_the_published_rise_time(ratio, pole):
     assert inner_pole(ratio) == pytest.approx(pole, abs=2e-5)
 
 
-# overshoot %, not settled where above 5; columns: dt ms, velocity window
+# Overshoot in %; above 5 the axis does not settle. The inner keys are period (ms) and velocity window.
 FIRMNESS = {
     1.0: {(10, 1): 0.27, (10, 2): 0.17, (10, 4): 0.26, (5, 2): 0.27, (5, 4): 0.27},
     2.0: {(10, 1): 0.28, (10, 2): 0.22, (10, 4): 0.33, (5, 2): 0.28, (5, 4): 0.27},
@@ -279,7 +281,7 @@ def test_the_overshoot_without_compensation_is_sensitive(ratio):
         )
         none = run("dc_motor_fsfb_s1_none", overrides)
         assert unsettled(none, 10.0) == (expected > 5.0)
-        # below one count (0.25 %) the last digit of a pole decides at which end of the count the axis rests
+        # Below one count (0.25 %), the last digit of a pole decides at which end of a count the axis stops.
         assert overshoot(none, 10.0) == pytest.approx(expected, rel=0.07, abs=0.12 if expected < 0.4 else 0.0)
         predicted = run("dc_motor_fsfb", overrides)
         assert overshoot(predicted, 10.0) <= 0.3
@@ -325,7 +327,7 @@ def test_stretch_any_delay_up_to_300_ms(every):
 def test_stretch_random_delay_of_6_to_10_periods(step, limit):
     late = {"delay__delay": 0.06, "delay__jitter": 0.04, "controller__step_mm": step}
     results = [overshoot(axis(seed=seed, **late, **FINE), step) for seed in range(10)]
-    assert len(set(results)) == 10  # ten different runs
+    assert len(set(results)) == 10  # all runs differ
     assert max(results) <= limit
 
 
@@ -472,13 +474,13 @@ def test_model_signals_are_the_delay_free_loop():
     late, none = run("dc_motor_fsfb"), run("dc_motor_fsfb_s1_none")
     names = ("position_set", "velocity", "acceleration", "deceleration", "jerk")
     position, velocity, acceleration, deceleration, jerk = (late[f"axis/model/{n}/position"].x for n in names)
-    assert (position == none["axis/model/position_set/position"].x).all()  # independent of the network
-    designed = run("dc_motor_fsfb_s7")  # at 1 ms: the continuous design
+    assert (position == none["axis/model/position_set/position"].x).all()  # the model does not depend on the network
+    designed = run("dc_motor_fsfb_s7")  # with a period of 1 ms it equals the continuous design
     assert measures.rise_time(designed, "axis/model/position_set/position", final=10.0) == pytest.approx(
         0.966, abs=0.002
     )
     assert np.abs(np.diff(position) / 0.01 - (velocity[1:] + velocity[:-1]) / 2).max() < 0.05
-    # between two samples u is held, so that the acceleration decays with the speed pole
+    # Between two samples u is constant, so the acceleration decays with the speed pole.
     decay = math.exp(-5.26 * 0.01)
     assert np.diff(velocity) == pytest.approx(acceleration[:-1] * (1 - decay) / 5.26, abs=1e-9)
     assert (deceleration == -acceleration).all()
@@ -501,7 +503,7 @@ def test_reset_forgets_everything():
     first = [buttons.update(k * 10 * MS) for k in range(10)]
     assert [x["forward"] + x["reverse"] for x in first] == [(1, 0)] * 2 + [(0, 0)] * 3 + [(0, 1)] * 2 + [(0, 0)] * 3
     buttons.reset(0)
-    assert [buttons.update(k * 10 * MS + 7) for k in range(10)] == first  # counted from its own first tick
+    assert [buttons.update(k * 10 * MS + 7) for k in range(10)] == first  # time counts from the node's first tick
 
 
 # bad input -------------------------------------------------------------------------------------------------------

@@ -17,7 +17,8 @@ SET_POINT = "axis/controller_state/set_point/position"
 @pytest.mark.long
 def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(tmp_path):
     """Missed periods of a busy host may change the figures, but not the delay, the end and the small overshoot."""
-    long_press = {"step_buttons.forward": [1.0], "step_buttons.hold": 3.0}  # seen also by a node that starts late
+    # Long enough that a node that starts late receives it.
+    long_press = {"step_buttons.forward": [1.0], "step_buttons.hold": 3.0}
     rig = rig_of(load_scenario("dc_motor_fsfb", long_press), duration=5.0)
     outcome = run_processes(rig, 0, tmp_path, Placement(clock="realtime"))
     assert outcome.error == ""
@@ -111,12 +112,14 @@ def test_buttons_by_topic_and_by_service_move_the_axis(axis):
     assert not axis.bench.signal("plant", Y).x.any()  # no reference was published
     axis.ask("press forward", "call-in-vain controller/forward")
     axis.asked(10.0)
-    axis.ask("release forward")  # not before: of two messages within one tick the newest counts
+    # The newest of two messages within a tick counts, so they are sent one after the other.
+    axis.ask("release forward")
     axis.ask("call controller/forward", "call controller/forward")
-    axis.asked(30.0)  # each call is a press, however fast they come
+    axis.asked(30.0)  # each call counts as a press, even if calls follow quickly
     axis.ask("call controller/reverse")
     axis.asked(20.0)
-    axis.wait(lambda: axis.bench.signal("plant", Y).x[-1] > 3.0)  # on its way; below, one arrives
+    # On its way; the test below waits until it has arrived.
+    axis.wait(lambda: axis.bench.signal("plant", Y).x[-1] > 3.0)
 
 
 @pytest.mark.long
@@ -126,7 +129,7 @@ def test_a_lost_controller_stops_the_axis_and_a_new_one_takes_over_without_a_bum
     axis.wait(lambda: bench.signal("plant", Y).x[-1] > 3.0)
     go(bench, "controller")
     bench.wait(lambda: "stale axis/command" in bench.status("plant")["reports"])
-    axis.wait(lambda: np.ptp(bench.signal("plant", Y).x[-50:]) < 1e-3)  # the motor has run out
+    axis.wait(lambda: np.ptp(bench.signal("plant", Y).x[-50:]) < 1e-3)  # the axis has come to rest
     stopped = bench.signal("plant", "axis/state/axis/position").x[-1]
     axis.start_controller()
     bench.wait(lambda: "recovered axis/command" in bench.status("plant")["reports"])

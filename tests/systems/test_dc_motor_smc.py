@@ -26,7 +26,7 @@ from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 K = 9.71170883  # K/r, 1/s^2, solved from Table II
 C = 5.0320416  # slope of the surface, 1/s
 
-# their golden bags and tests/core/test_faults.py; test_falsifications.py; test_other_machines.py
+# Covered by their golden bags and test_faults.py, by test_falsifications.py and test_other_machines.py.
 ELSEWHERE = {f"dc_motor_smc_{n}" for n in ("faults", "faults_bus", "b1_insensitive", "re40", "re40_law")} | {*UNO}
 
 
@@ -77,7 +77,7 @@ def test_sliding_mode_follows_its_closed_form():
     reaching = K / C * (t - (1 - np.exp(-C * t)) / C)
     at_reach = K / C * (reach - (1 - np.exp(-C * reach)) / C)
     expected = np.where(t < reach, reaching, 1 - (1 - at_reach) * np.exp(-C * (t - reach)))
-    assert np.abs(w - expected).max() < 3e-4  # the rounded model and K Ts/c
+    assert np.abs(w - expected).max() < 3e-4  # the errors of the rounded model and of K Ts/c
 
 
 def test_open_loop_is_the_two_pole_response():
@@ -148,7 +148,7 @@ def test_encoder_counts_and_speed():
         assert count == math.floor(plant.x.theta / rad)
         assert (position, w) == pytest.approx((count * rad, (count - before) * rad / 0.01), rel=1e-12)
         before = count
-    assert before < 0  # through zero, where truncation would differ from floor
+    assert before < 0  # passes zero, where truncation differs from floor
 
 
 @pytest.mark.parametrize(("command", "level"), [(12.0, 255), (-12.0, -255), (6.0, 128), (2.5 * 12 / 255, 2), (0.02, 0)])
@@ -226,7 +226,7 @@ def test_motor_brakes_when_the_reference_becomes_zero():
 # Bad input
 
 
-# how to make the law, its inputs beside the reference, and which of their numbers it uses
+# For each law: how to create it, its inputs beside the reference, and which of their numbers it uses.
 MEASURED = [
     (DcMotorSmc, {"state": (5.0,), "sensors": (100.0, 0.9)}, [("state", 0), ("sensors", 1)]),
     (lambda: DcMotorSmc(wd_source="diff", wd_lp=0.02), {"state": (5.0,), "sensors": (100.0, 0.9)}, [("state", 0)]),

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(
 )
 SPEED = "motor/true_state/shaft/velocity"
 P = DcMotorUnoParams()
-BRIDGE = P.vmax - P.bridge_drop  # V
+BRIDGE = P.vmax - P.bridge_drop  # V, the highest voltage of the bridge
 
 
 def rows(firmware, *times):
@@ -36,7 +36,8 @@ def test_the_run_equals_that_of_the_digital_rig_and_repeats():
         k: t.data for k, t in again.recording.topics.items()
     }
     speed, other = (r.signals[SPEED].x for r in (first, digital))
-    assert max(abs(a - b) for a, b in zip(speed, other, strict=True)) < 0.42  # rad/s: what a count makes of the speed
+    # rad/s, the effect of one count on the speed.
+    assert max(abs(a - b) for a, b in zip(speed, other, strict=True)) < 0.42
     assert max(speed) > 4.0
     assert simulate("dc_motor_smc_uno", duration=0.1).blocks["dc_motor_uno"].x.row[7] > 2000  # cycles of a tick
 
@@ -65,17 +66,17 @@ int main(void)
 @pytest.mark.parametrize(
     ("mode", "level", "duty"),
     [
-        ("(1 << WGM12)", 0, 1 / 256),  # ATmega328P data sheet, 16.9.3: a narrow spike
+        ("(1 << WGM12)", 0, 1 / 256),  # ATmega328P data sheet, 16.9.3: OCR = 0 gives a narrow spike
         ("(1 << WGM12)", 127, 1 / 2),
         ("(1 << WGM12)", 255, 1.0),
-        ("0", 0, 0.0),  # 16.9.4: continuously low, and high at TOP
+        ("0", 0, 0.0),  # data sheet, 16.9.4: 0 gives a low output, TOP a high one
         ("0", 127, 127 / 255),
         ("0", 255, 1.0),
     ],
 )
 def test_pwm_has_the_duty_of_the_data_sheet(mode, level, duty):
     text = f"#define MODE {mode}\n#define LEVEL {level}\n{PWM}"
-    whole = 51 if mode == "0" else 128  # ms: 25 and 125 periods of 510 and 256 steps of 4 us
+    whole = 51 if mode == "0" else 128  # ms: 25 periods of 510 steps of 4 us, or 125 periods of 256
     _, last = rows(built({"pwm.c": text}, "pwm"), 10, 10 + whole)
     assert last[6] == pytest.approx(duty * BRIDGE, abs=1e-3 * BRIDGE)
 
@@ -118,7 +119,7 @@ def test_a_voltage_is_limited_before_it_becomes_a_register(voltage, part, tmp_pa
     files = {"softrig_c.h": support, "law.h": LAW} | firmware_files(lines)
     (row,) = rows(built(files, "limits"), 5)
     assert row[3] == pytest.approx(part * BRIDGE)
-    # the same lines on this machine
+    # Run the same lines on this machine.
     for name in ("softrig_c.h", "law.h", "uno_pwm.h"):
         (tmp_path / name).write_text(files[name])
     main = f'#include <stdio.h>\n{lines}#include "law.h"\n#include "uno_pwm.h"\n'
@@ -146,7 +147,7 @@ def test_the_speed_follows_from_the_counts_of_the_encoder():
     assert count[-1] > 1000
 
 
-# runs firmware until it sets GPIOR0, prints what is in GPIOR1 and GPIOR2; argument 2: voltage at the pin A0, mV
+# Runs the firmware until it sets GPIOR0, and prints GPIOR1 and GPIOR2. Argument 2 is the voltage at pin A0 in mV.
 PROBE = """
 #include <stdio.h>
 #include <stdlib.h>
@@ -214,13 +215,15 @@ def probed(text, millivolts=0):
 
 def test_the_adc_has_the_codes_and_the_time_of_the_data_sheet():
     for millivolts in (0, 5, 1250, 2500, 3300, 4990, 5000):
-        code = min(1024 * millivolts // 5000, 1023)  # ATmega328P data sheet, 24.7; simavr multiplies by 1023
+        code = min(1024 * millivolts // 5000, 1023)  # data sheet, 24.7, has 1024; simavr multiplies by 1023
         assert code - 1 <= probed(f"#define TOOK 0\n{ADC}", millivolts) <= code
-    assert probed(f"#define TOOK 1\n{ADC}") == pytest.approx(13 * 128, abs=24)  # table 24-1, and the loop that waits
+    # Table 24-1 has 13 ADC clocks; the polling loop adds some cycles.
+    assert probed(f"#define TOOK 1\n{ADC}") == pytest.approx(13 * 128, abs=24)
 
 
 @pytest.mark.parametrize(("double", "divisor"), [(1, 16), (0, 8), (0, 103)])
 def test_a_byte_takes_eleven_bits_in_simavr_and_ten_by_the_data_sheet(double, divisor):
-    bit = (divisor + 1) * (8 if double else 16)  # cycles; data sheet, table 20-1
+    bit = (divisor + 1) * (8 if double else 16)  # cycles of a bit; data sheet, table 20-1
     elapsed = probed(f"#define DOUBLE {double}\n#define DIVISOR {divisor}\n{UART}") * 8 / 16
-    assert elapsed == pytest.approx(11 * bit, rel=0.01)  # a start, 8 data and a stop bit are 10: a real board is faster
+    # simavr uses 11 bits; a start, eight data and a stop bit are 10.
+    assert elapsed == pytest.approx(11 * bit, rel=0.01)

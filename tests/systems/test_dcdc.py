@@ -127,7 +127,7 @@ def test_forms(form, t_i, t_d):
     y = [0.0, *np.sin(0.05 * np.arange(200)).tolist()]
     results = [command(block, k, v) for k, v in enumerate(y)]
     Ki, Kd, Kp = (K / t_i if t_i else 0.0), K * t_d, K * (1.0 + (t_d / t_i if form == "series" and t_i else 0.0))
-    # u = Kp e + Ki T/(z - 1) e + Kd N (z - 1)/((1 + N T) z - 1) e
+    # The law: u = Kp e + Ki T/(z - 1) e + Kd N (z - 1)/((1 + N T) z - 1) e.
     e = 1.0 - np.array(y)
     integral = Ki * T * np.concatenate([[0.0], np.cumsum(e)[:-1]])
     num, den = [Kd * N, -Kd * N], [1.0 + N * T, -1.0]
@@ -138,7 +138,8 @@ def test_forms(form, t_i, t_d):
 def test_derivative_on_the_measurement_and_set_point_weight_do_not_kick():
     block = controller(kp=2.0, kd=1.0, derivative_on="measurement", weight=0.0, ki=1.0, reference="r/r/position")
     assert command(block, 0, 0.0, 0.0) == 0.0
-    assert command(block, 1, 0.0, 10.0) == 0.0  # of the step itself nothing but the integral, from the next tick on
+    # The step itself only acts through the integral, from the next tick on.
+    assert command(block, 1, 0.0, 10.0) == 0.0
     assert command(block, 2, 0.0, 10.0) == pytest.approx(1.0 * 10.0 * 0.001)
     kicked = controller(kp=2.0, kd=1.0, reference="r/r/position")
     command(kicked, 0, 0.0, 0.0)
@@ -184,7 +185,7 @@ def test_a_loop_equals_the_linear_loop():
     for k in range(100):
         rows.append(y)
         y = a * y + (1.0 - a) * command(block, k, y)
-    # C = Kp + Ki T/(z - 1), P = (1 - a)/(z - a)
+    # The loop of C = Kp + Ki T/(z - 1) and P = (1 - a)/(z - a).
     num = np.polymul([1.0 - a], [Kp, Ki * T - Kp])
     den = np.polyadd(np.polymul([1.0, -a], [1.0, -1.0]), num)
     wanted = dstep(dlti(num, den, dt=T), n=100)[1][0][:, 0]
@@ -202,7 +203,7 @@ def test_a_loop_equals_that_of_python_control():
     A, B, C = (np.asarray(m) for m in (plant.A, plant.B, plant.C))
     block = controller(form="ideal", kp=K, t_i=t_i, t_d=t_d, n_filter=N, period=T, set_point=1.0)
     x, rows = np.zeros(2), []
-    command(block, -1, 1.0)  # an error of zero before the step, so that the first sample has a derivative
+    command(block, -1, 1.0)  # the error is zero before the step, so the first sample has a derivative
     for k in range(300):
         y = (C @ x).item()
         rows.append(y)

@@ -13,7 +13,7 @@ from softrig_power.dispatch.conditions import Conditions, Losses
 from softrig_power.dispatch.solver import DispatchSolver
 from softrig_power.dispatch.units import COLUMNS, MORE, TableError, Units
 
-B = 1e-5 * np.array([[7.1, 3.0, 2.5], [3.0, 6.9, 3.2], [2.5, 3.2, 8.0]])  # 1/MW, of a system of three units
+B = 1e-5 * np.array([[7.1, 3.0, 2.5], [3.0, 6.9, 3.2], [2.5, 3.2, 8.0]])  # B coefficients of three units, 1/MW
 THREE = Units.read("units_3")
 
 
@@ -74,8 +74,8 @@ def test_the_proven_optimum_equals_the_enumerated_one(case, demand):
     assert np.all(conditions.low - 1e-9 <= result.P)
     assert np.all(conditions.high + 1e-9 >= result.P)
     assert conditions.spinning(units, result.P) >= reserve - 1e-6
-    assert result.bound <= grid + 1e-9  # a bound is a bound
-    assert grid - 60.0 < result.cost <= grid + 1e-3  # and the grid nearly finds it
+    assert result.bound <= grid + 1e-9  # no dispatch of the grid is below the bound
+    assert grid - 60.0 < result.cost <= grid + 1e-3  # the grid comes close to the optimum
     plain = Optimiser(THREE).certified(demand)
     assert result.cost >= plain.cost - 1e-3
 
@@ -111,7 +111,8 @@ def test_thirteen_units_with_losses_are_proven():
     [
         (Conditions.of(THREE, Losses(B, np.zeros(3)), 0.0, np.array([600.0, 200.0, 400.0])), ""),
         (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 350.0, 300.0])), "unit 2 is so far outside its"),
-        (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 240.0, 300.0])), ""),  # just led into them
+        # The ramps just suffice to reach the limits.
+        (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 240.0, 300.0])), ""),
         (Conditions.of(CASES["ramps"][0]), "within limits and ramps, less losses, the units give"),
         (Conditions.of(THREE, None, 2000.0), "reserve 2000 MW, but the units have"),
         (Conditions.of(THREE, Losses(100.0 * B, np.zeros(3))), "an incremental loss of 1 or more"),

@@ -35,7 +35,8 @@ from softrig_power.dispatch.units import (
 )
 
 PI = math.pi
-# p_min, p_max (MW), a, b, c, e ($/h), f (rad/MW): three arches of 100 MW, two and a half of 40 MW, no ripple, fixed
+# p_min, p_max (MW), a, b, c, e ($/h), f (rad/MW). Units with three arches of 100 MW, with two and a half of 40 MW,
+# without ripple, and with a fixed output.
 ROWS = {
     "three": (100.0, 400.0, 0.002, 8.0, 300.0, 200.0, PI / 100.0),
     "half": (20.0, 120.0, 0.004, 7.0, 100.0, 60.0, PI / 40.0),
@@ -77,7 +78,7 @@ def test_a_wrong_table_is_refused_with_the_expected_message(ids, table, text):
 
 
 def test_values_at_the_limits_of_a_table_are_accepted():
-    units = Units(("a",), [[1, 1, 0, -5, -6, 0, 0]])  # a valid unit: b and c of either sign, a single output
+    units = Units(("a",), [[1, 1, 0, -5, -6, 0, 0]])  # unusual but valid: negative b and c, a single output
     assert units.table.dtype == float
     assert not units.table.flags.writeable
     assert (units.p_min.tolist(), units.p_max.tolist(), len(units)) == ([1.0], [1.0], 1)
@@ -149,7 +150,7 @@ def test_a_file_may_have_more_columns_for_some_units(tmp_path):
     assert units.now.tolist() == [5.0, 3.0]
     assert units.ramp_up.tolist() == [2.0, np.inf]
     assert units.ramp_down.tolist() == [np.inf, np.inf]
-    assert units.ready.tolist() == [0.0, 6.0]  # without an entry, the whole range
+    assert units.ready.tolist() == [0.0, 6.0]  # without an entry the reserve is the whole range
     twice = Units.read(f"2*{tmp_path / 'u.csv'}")
     assert twice.ids == ("a", "b", "a_2", "b_2")
     assert np.array_equal(twice.more, np.vstack([units.more, units.more]), equal_nan=True)
@@ -199,7 +200,8 @@ def test_the_cost_and_its_one_sided_slopes_agree_with_differences():
 
 
 def test_outputs_near_an_end_count_as_at_it_within_the_tolerance():
-    one = Units(("a",), [[0.0, 100.0, 0.0, 1.0, 0.0, 3.0, 1.0]])  # slope 1 +- 3, valve points at multiples of pi
+    # Its slope is 1 +- 3, with valve points at multiples of pi.
+    one = Units(("a",), [[0.0, 100.0, 0.0, 1.0, 0.0, 3.0, 1.0]])
 
     def slopes(p):
         return [float(s[0]) for s in one.slopes([p])]
@@ -240,11 +242,11 @@ def test_valve_points_are_counted_independently():
 def test_equal_units_are_grouped():
     table = FOUR.table[[1, 0, 1, 2, 0, 1]]
     units = Units(tuple("abcdef"), table)
-    assert units.order.tolist() == [0, 2, 5, 3, 1, 4]  # by p_min, then the rest
+    assert units.order.tolist() == [0, 2, 5, 3, 1, 4]  # sorted by p_min, then by the other columns
     assert units.groups.tolist() == [0, 2, 0, 1, 2, 0]
     P = np.array([30.0, 100.0, 50.0, 80.0, 200.0, 40.0])
     assert units.sorted_copies(P).tolist() == [50.0, 200.0, 40.0, 80.0, 100.0, 30.0]
-    assert P.tolist() == [30.0, 100.0, 50.0, 80.0, 200.0, 40.0]  # given values do not change
+    assert P.tolist() == [30.0, 100.0, 50.0, 80.0, 200.0, 40.0]  # the argument does not change
 
 
 def linear(*rows):
@@ -258,12 +260,12 @@ def linear(*rows):
         ((5.0, 5.0, 5.0), 17.0, (5.0, 7.0, 5.0)),  # the cheapest unit that can supply all of the difference
         ((5.0, 5.0, 5.0), 13.0, (3.0, 5.0, 5.0)),  # the excess is removed from the most expensive unit
         ((5.0, 9.0, 5.0), 21.0, (5.0, 9.0, 7.0)),  # the cheapest unit has too little room
-        # no unit has enough room: the one with the most moves to its limit first
+        # No unit has enough room, so the one with the most moves to its limit first.
         ((9.0, 8.0, 9.5), 29.5, (10.0, 10.0, 9.5)),
-        ((11.0, -1.0, 5.0), 15.0, (10.0, 0.0, 5.0)),  # limits before all
+        ((11.0, -1.0, 5.0), 15.0, (10.0, 0.0, 5.0)),  # outputs beyond a limit are moved to it first
         ((5.0, 5.0, 5.0), 15.0 + 1.4e-8, (5.0, 5.0, 5.0)),  # a difference below a billionth of the demand is ignored
         ((5.0, 5.0, 5.0), 15.0 + 1.6e-8, (5.0, 5.0 + 1.6e-8, 5.0)),
-        ((0.1, 0.1, 0.1), 0.3 + 2e-9, (0.1, 0.1 + 2e-9, 0.1)),  # nor less than 1e-9 MW
+        ((0.1, 0.1, 0.1), 0.3 + 2e-9, (0.1, 0.1 + 2e-9, 0.1)),  # a difference below 1e-9 MW is ignored, too
         ((0.1, 0.1, 0.1), 0.3 + 0.9e-9, (0.1, 0.1, 0.1)),
         ((0.0, 0.0, 0.0), 30.0, (10.0, 10.0, 10.0)),
     ],
@@ -295,12 +297,13 @@ def test_the_price_is_between_the_dearest_running_unit_and_the_cheapest_with_roo
 def test_equal_incremental_costs_are_found_as_by_bisection():
     for demand in (250.0, 301.0, 388.8, 500.0, 650.0, 739.0):
         low, high = 0.0, 100.0
-        for _ in range(100):  # bisect the price; each unit runs where 2 a P + b equals it
+        for _ in range(100):  # bisect the price; each unit runs at 2 a P + b = price
             price = 0.5 * (low + high)
             P = [min(max((price - r[3]) / (2 * r[2]), r[0]), r[1]) for r in FOUR.table]
             low, high = (price, high) if sum(P) < demand else (low, price)
         assert lambda_iteration(FOUR, demand).tolist() == pytest.approx(P, abs=1e-6)
-    order = linear((0.0, 10.0, 3.0), (0.0, 10.0, 1.0), (0.0, 10.0, 2.0))  # no curvature: one after the other
+    # Units without curvature are used in the order of their price.
+    order = linear((0.0, 10.0, 3.0), (0.0, 10.0, 1.0), (0.0, 10.0, 2.0))
     assert lambda_iteration(order, 14.0).tolist() == pytest.approx([0.0, 10.0, 4.0])
     assert lambda_iteration(linear((2.0, 2.0, 1.0)), 2.0).tolist() == [2.0]
 
@@ -399,9 +402,10 @@ def test_conditions_forbid_and_just_allow_the_expected_outputs():
     ramps = "infeasible: unit b is so far outside its limits that its ramps do not lead into them"
     assert why(70.0, low=(10.0, 61.0)) == ramps
     steep = "infeasible: an incremental loss of 1 or more: the B coefficients are not those of these units"
-    assert why(80.0, losses=Losses(np.diag([0.005, 0.0]), np.zeros(2))) == steep  # 2 * 0.005 * 100
+    # The incremental loss is 2 * 0.005 * 100.
+    assert why(80.0, losses=Losses(np.diag([0.005, 0.0]), np.zeros(2))) == steep
     assert why(80.0, losses=Losses(np.diag([0.0049, 0.0]), np.zeros(2))) == ""
-    assert why(80.0, reserve=80.0) == ""  # 30 of the first, 50 of the second
+    assert why(80.0, reserve=80.0) == ""  # the first unit has 30 MW of reserve and the second 50 MW
     short = "infeasible: reserve 80.5 MW, but the units have 80 MW at their lowest outputs"
     assert why(80.0, reserve=80.5) == short
 
@@ -413,7 +417,7 @@ def test_break_points_are_evenly_spaced_in_each_arch():
     for nseg in (1, 2, 3, 4):
         three, half, smooth, fixed = breakpoints(FOUR, nseg)
         assert three.tolist() == pytest.approx(np.linspace(100.0, 400.0, 3 * nseg + 1).tolist())
-        partial = max(1, round(nseg / 2))  # the segments of the half arch from 100 to 120
+        partial = max(1, round(nseg / 2))  # segments of the half arch from 100 to 120 MW
         wanted = [*np.linspace(20.0, 100.0, 2 * nseg + 1)[:-1], *np.linspace(100.0, 120.0, partial + 1)]
         assert half.tolist() == pytest.approx(wanted)
         assert smooth.tolist() == pytest.approx(np.linspace(50.0, 150.0, nseg + 1).tolist())
@@ -485,7 +489,7 @@ def test_a_dispatch_in_the_columns_of_the_milp_is_that_dispatch(P):
         assert ends[k] + w[at + k] == p
         width = ends[k + 1] - ends[k] if len(ends) > 1 else 0.0
         assert 0.0 <= w[at + k] <= width
-        assert w[at + k] < width or k == n - 1  # a break point begins a segment
+        assert w[at + k] < width or k == n - 1  # a point on a break point belongs to the segment that starts there
         at += n
 
 
@@ -532,8 +536,9 @@ def test_the_nlp_is_the_best_of_its_arches(P):
         (False, (200.0, 100.0), False, False),
         (True, (math.nan, 100.0), False, False),
         (True, (200.0, 100.0), True, False),
-        (True, (250.0, 50.0), False, None),  # more expensive than the given schedule
-        (True, (200.0 + 0.9e-5, 100.0 - 0.9e-5), False, True),  # ends a tolerance inside its bounds
+        (True, (250.0, 50.0), False, None),  # costs more than the schedule at hand
+        # Solutions may exceed their bounds by less than the tolerance.
+        (True, (200.0 + 0.9e-5, 100.0 - 0.9e-5), False, True),
     ],
 )
 def test_results_of_ipopt_are_accepted_as_expected(monkeypatch, success, answer, raises, used):
@@ -576,7 +581,7 @@ def excess(row, x0, x1):
     whole = a * h * h / 4.0
     if e * f * f <= 2 * a:
         return whole
-    weak = 2 * a / (e * f * f)  # of |sin|: below it the cost is convex
+    weak = 2 * a / (e * f * f)  # smallest |sin| at which the ripple outweighs the parabola
     chord = (cost(row, x1) - cost(row, x0)) / h
     down = abs(math.sin(f * (x0 - p_min))) < weak and (cost(row, x0 + d) - cost(row, x0)) / d < chord
     up = abs(math.sin(f * (x1 - p_min))) < weak and (cost(row, x1) - cost(row, x1 - d)) / d > chord
@@ -593,7 +598,7 @@ def stretches(n=60):
         s = np.sort(chance.uniform(0.0, 1.0, 2))
         s[0], s[1] = (0.0 if k % 5 == 0 else s[0]), (1.0 if k % 2 == 0 else s[1])
         yield row, *(arch + s * PI / f)
-    for e in (1.9, 2.0, 2.1, 2.3):  # about as strong as the parabola
+    for e in (1.9, 2.0, 2.1, 2.3):  # ripples about as strong as the parabola
         yield (0.0, 9.0, 1.0, 0.0, 0.0, e, 1.0), 0.0, PI
 
 
@@ -720,7 +725,7 @@ def test_the_balance_of_a_box_is_its_tangent_and_the_bound_of_its_error(plain):
     wrong = sum(abs(B3[i, j]) * half[i] * half[j] for i in range(3) for j in range(3))
     middle = 400.0 + B00 - sum(centre[i] * B3[i, j] * centre[j] for i in range(3) for j in range(3))
     assert (least, most) == (pytest.approx(middle - wrong), pytest.approx(middle + wrong))
-    for corner in itertools.product((-1.0, 1.0), repeat=3):  # balanced points of the box lie between
+    for corner in itertools.product((-1.0, 1.0), repeat=3):  # the bounds contain all balanced points of the box
         P = centre + np.array(corner) * half
         assert plain._surplus(p, P) == pytest.approx(P.sum() - lost(P) - 400.0)
         weighed = relaxed.weight @ P
@@ -739,7 +744,7 @@ def test_the_balance_of_a_box_is_its_tangent_and_the_bound_of_its_error(plain):
         ((300.0, 50.0, 50.0 - 1.1e-9), 0.0, False),
         ((129.9, 120.0 + 0.9e-9, 150.0), 0.0, True),
         ((129.9, 120.0 + 1.1e-9, 150.0), 0.0, False),
-        ((200.0, 70.0, 130.0), 60.0, True),  # ready 30 of 200, 10 of 50, 20 of 20
+        ((200.0, 70.0, 130.0), 60.0, True),  # reserves of 30 of 200 MW, 10 of 50 MW and 20 of 20 MW
         ((200.0, 70.0, 130.0), 60.0 + 0.9e-7, True),
         ((200.0, 70.0, 130.0), 60.0 + 1.1e-7, False),
         ((180.0, 70.0, 150.0), 41.0, False),
@@ -758,7 +763,7 @@ def test_a_nearly_balanced_dispatch_is_repaired_by_the_cheapest_unit(plain):
         choices = []
         for j in range(3):
             P = np.array(start)
-            for _ in range(60):  # one unit: its output by Newton's method
+            for _ in range(60):  # the output of one unit by Newton's method
                 P[j] += (380.0 - P.sum() + lost(P)) / (1.0 - 2.0 * B3[j] @ P - B0[j])
             if THREE.p_min[j] <= P[j] <= THREE.p_max[j]:
                 choices.append((THREE.total(P), P.tolist()))
@@ -769,7 +774,7 @@ def test_a_nearly_balanced_dispatch_is_repaired_by_the_cheapest_unit(plain):
         else:
             assert (result, P.tolist()) == (np.inf, start)
     P = np.array([100.0, 20.0, 50.0])
-    assert plain._mended.py_func(problem(THREE, 600.0), P) == np.inf  # beyond each one's limit
+    assert plain._mended.py_func(problem(THREE, 600.0), P) == np.inf  # no single unit can supply the difference
     assert P.tolist() == [100.0, 20.0, 50.0]
 
 
@@ -828,7 +833,7 @@ def test_a_proof_with_conditions_is_a_lower_bound_and_reaches_the_best_within_it
     assert result.nodes == pytest.approx(boxes, rel=0.05)
     assert (result.losses, result.reserve) == (conditions.losses.of(result.P), conditions.spinning(THREE, result.P))
     assert (result.stage, result.reason) == ("branch and bound", "proven")
-    share = 1.0 - conditions.losses.slopes(result.P)  # of a MW of a unit that arrives
+    share = 1.0 - conditions.losses.slopes(result.P)  # of each further MW of a unit, this share is delivered
     left, right = (s / share for s in THREE.slopes(result.P))
     assert result.price == (max(left), min(right))
 
@@ -842,7 +847,7 @@ def test_the_starting_point_of_a_proof_counts_if_it_meets_the_conditions(reserve
         assert proof.P.tolist() == list(P)
         assert proof.bound == -np.inf
     plain = branch.branch_and_bound(THREE, 400.0, np.array([200.0, 70.0, 131.0]), 1e-3, 0)
-    assert plain.cost == pytest.approx(THREE.total([200.0, 70.0, 131.0]))  # the balance is not checked
+    assert plain.cost == pytest.approx(THREE.total([200.0, 70.0, 131.0]))  # this method does not check the balance
 
 
 # The answer ---------------------------------------------------------------------------------------------
@@ -859,7 +864,7 @@ def test_an_answer_without_a_proof_claims_none():
 def test_the_search_begins_with_equal_shares_of_the_ranges_or_with_the_given_point():
     work = Optimiser(PAIR)
     for start, arches in [
-        (None, [(200.0, 60.0), (300.0, 100.0)]),  # 180 of 400 MW: 100 + 135, 20 + 45
+        (None, [(200.0, 60.0), (300.0, 100.0)]),  # at 180 of 400 MW: 100 + 135 and 20 + 45
         ((250.0, 50.0), [(200.0, 20.0), (300.0, 60.0)]),
         ((150.0, 110.0), [(100.0, 100.0), (200.0, 120.0)]),  # 40 MW are missing
     ]:
@@ -889,7 +894,7 @@ def test_the_stages_of_a_proof_that_runs_out_of_boxes_are_as_expected():
     assert list(result.stages) == ["branch and bound", "two stages", "adaptive MILP"]
     assert (result.stage, result.reason, result.limited) == ("adaptive MILP", "proven", False)
     assert len(result.trace) == len(messages) > 2
-    assert result.trace[0][2] == result.trace[1][2]  # two stages prove nothing
+    assert result.trace[0][2] == result.trace[1][2]  # the two stages do not raise the bound
     assert [t for t, *_ in result.trace] == sorted(t for t, *_ in result.trace)
     assert result.binaries >= 6 + 5
     assert result.nodes >= 1
@@ -907,7 +912,7 @@ def test_a_segment_is_split_where_its_chord_is_too_low():
 
     for p, at, ends, down in [
         (160.0, 160.0, (100.0, 200.0), 1.0),
-        (114.0, 150.0, (100.0, 200.0), 1.0),  # near an end it is split in the middle
+        (114.0, 150.0, (100.0, 200.0), 1.0),  # close to an end, the range is split in the middle
         (116.0, 116.0, (100.0, 200.0), 1.0),
         (286.0, 250.0, (200.0, 300.0), 2.0),
         (300.0, 350.0, (300.0, 400.0), 3.0),
@@ -976,7 +981,7 @@ def test_copies_are_counted_once_and_what_kinks_cannot_meet_is_reported():
     with pytest.raises(InfeasibleError, match=text):
         enumerate_kinks(twins, 59.0)
     apart = Units(("a", "b"), [[0.0, 1.0, 0, 0, 0, 1.0, PI], [0.0, 0.5, 0, 0, 0, 0, 0]])
-    assert enumerate_kinks(apart, 0.75).tolist() == [0.25, 0.5]  # on the other's end
+    assert enumerate_kinks(apart, 0.75).tolist() == [0.25, 0.5]  # the second unit is at its limit
 
 
 # The fleet ----------------------------------------------------------------------------------------------
@@ -984,7 +989,7 @@ def test_copies_are_counted_once_and_what_kinks_cannot_meet_is_reported():
 
 def test_the_fleet_goes_to_its_set_points_within_limits_and_ramp():
     fleet = ByHand(UnitFleet(unit_table="units_3", period=2.0))
-    fleet.advance(0, setpoints=(700.0, 60.0, 0.0))  # of 100 to 600, 50 to 200, 100 to 400 MW; no ramp
+    fleet.advance(0, setpoints=(700.0, 60.0, 0.0))  # limits of 100 to 600, 50 to 200 and 100 to 400 MW; no ramp
     output = fleet.outputs(1)["state"][:3]
     assert output == (600.0, 60.0, 100.0)
     slow = ByHand(UnitFleet(unit_table="units_3", period=2.0, ramp=5.0))
@@ -1004,20 +1009,20 @@ def test_a_dispatch_is_requested_at_the_expected_ticks():
     broken = (99999.0, *table[1:])
     x, asked = solver.first(), []
     for demand, units, solve, wanted in [
-        (None, None, None, None),  # no demand yet
+        (None, None, None, None),  # no demand has arrived yet
         (None, None, 1.0, None),
         (850.0, None, 1.0, 850.0),
-        (850.0, None, 1.0, None),  # held down
+        (850.0, None, 1.0, None),  # the button is still pressed
         (850.0, None, 0.0, None),
-        (850.0, None, 1.0, 850.0),  # pressed again
+        (850.0, None, 1.0, 850.0),  # the button is pressed again
         (900.0, None, 1.0, 900.0),
         (900.0, table, None, 900.0),
         (900.0, table, None, None),
         (900.0, dear, None, 900.0),
-        (900.0, broken, None, None),  # the only new message is an invalid table
+        (900.0, broken, None, None),  # an invalid table is the only new message
         (900.0, broken, None, None),
         (910.0, broken, None, 910.0),
-        (2000.0, broken, None, None),  # beyond the units
+        (2000.0, broken, None, None),  # the demand exceeds the units
         (910.0, dear, None, 910.0),
     ]:
         inputs = {"demand": None if demand is None else (demand,), "solve": None if solve is None else (solve,)}
@@ -1084,7 +1089,7 @@ def test_each_method_runs_in_the_working_process():
         solved(850.0, method="baseline", n_pop=8, n_iter=5, seed=s, drawn=d)[0].P.tolist()
         for s, d in ((0, 5), (1, 5), (0, 6))
     ]
-    assert len({tuple(P) for P in swarms}) == 3  # of the node's seed and the run's
+    assert len({tuple(P) for P in swarms}) == 3  # both the node's seed and the run's seed matter
     assert solved(849.0, "40*units_13", method="enumeration")[0] == (
         "infeasible: demand 849 MW, but the units give 22000 to 118400 MW"
     )
@@ -1113,7 +1118,7 @@ def test_reports_of_a_dispatch_are_as_expected():
     solver, x, values = answered(dispatch)
     assert values["setpoints"] == (200.0, 99.0)
     of = [cost(r, p) for r, p in zip(PAIR.table, dispatch.P, strict=True)]
-    # the arch evaluated at its end
+    # Both ends of an arch belong to it.
     assert values["result"] == pytest.approx((200.0, of[0], 2.0, 1.0, 99.0, of[1], 2.0, 0.0))
     assert values["summary"] == (300.0, 10.0, 7.0, 3.0, -1e9, 5.0, 3.0, 4.0, 1.0)
     assert x.last is dispatch
@@ -1172,7 +1177,8 @@ def test_methods_accept_conditions_as_expected(tmp_path):
 
     assert not conditioned()
     assert not conditioned(now="5")
-    with pytest.raises(ParameterError, match="ramp_up_MW needs p_now_MW"):  # before, it had no effect and no message
+    # Ramps without a present output would have no effect.
+    with pytest.raises(ParameterError, match="ramp_up_MW needs p_now_MW"):
         conditioned(up="5", down="5")
     assert conditioned(now="5", up="5")
     assert conditioned(now="5", down="5")

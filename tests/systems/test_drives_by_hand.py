@@ -70,7 +70,7 @@ def test_the_set_point_follows_references_and_presses():
 
 def test_buttons_are_down_from_each_time_on_for_their_duration():
     buttons = ByHand(StepButtons(forward=(0.0, 0.3), reverse=(0.05,), hold=0.1))
-    late = 700 * MS  # times count from the first tick
+    late = 700 * MS  # time counts from the first tick
     for ms in range(0, 500, 10):
         outputs = buttons.update(late + ms * MS)
         assert outputs == {"forward": (float(ms < 100 or 300 <= ms < 400),), "reverse": (float(50 <= ms < 150),)}
@@ -103,7 +103,8 @@ def test_the_loop_as_designed_reports_its_motion(wanted):
     assert fastest > 12.0
     other = NominalAxis(p, phi.tolist(), gamma.tolist(), StateFeedback((0.4, 5.0), 3.0, p.period, 3.0))
     then = other.go_on(x, law)
-    assert 3.0 * then.xi - 0.4 * x.v - 5.0 * x.y == near(6.0 * x.xi - 0.5 * x.v - 4.0 * x.y)  # no bump
+    # The command does not jump.
+    assert 3.0 * then.xi - 0.4 * x.v - 5.0 * x.y == near(6.0 * x.xi - 0.5 * x.v - 4.0 * x.y)
 
 
 @pytest.mark.parametrize("compensation", ["none", "velocity", "predictor"])
@@ -122,7 +123,7 @@ def test_the_axis_controller_is_state_feedback_on_its_compensated_late_measureme
         outputs = law.update(
             t, feedback=Sample(stamp, (y, v)), reference=wanted and (wanted,), forward=None, reverse=None
         )
-        if newest is None:  # the first measurement sets the initial state and gives no command
+        if newest is None:  # the first measurement only sets the initial state
             r, xi = y, p.kp * (y + half) / p.ki if p.integral else 0.0
         if newest is None or stamp > newest:
             newest, measured = stamp, np.array([v, y + half])
@@ -177,13 +178,13 @@ def test_the_axis_controller_is_exact_at_its_limits():
     assert reported("none", (0, 0), (100, 0))[0] == []
     assert reported("none", (0, 0), (110, 0)) == (["feedback age"], 0.0)
     assert reported("none", (0, 0), (10, 11)) == (["feedback time"], 0.0)
-    assert reported("none", (0, 0), (10, 0), (20, 0))[0] == []  # a repeated time is not a step back
+    assert reported("none", (0, 0), (10, 0), (20, 0))[0] == []  # a repeated time is no step back
     assert reported("none", (0, 0), (10, 10), (20, 0))[0] == ["feedback order"]
     assert reported("predictor", (0, 0), (10, 10), (20, 0))[1] != 0.0
-    assert reported("predictor", (0, 0), (60, 0))[0] == []  # five periods left out
+    assert reported("predictor", (0, 0), (60, 0))[0] == []  # five missing periods are still allowed
     assert reported("predictor", (0, 0), (70, 0)) == (["predictor"], 0.0)
     assert reported("predictor", (50, 50), (60, 40)) == (["feedback order"], pytest.approx(-0.222, abs=1e-3))
-    assert reported("predictor", (0, 0), (10, 0))[0] == []  # one command is known and one is needed
+    assert reported("predictor", (0, 0), (10, 0))[0] == []  # one command is needed, and one is known
 
 
 def test_the_axis_sticks_up_to_its_stiction_and_no_speed_is_beyond_its_limit():
@@ -192,7 +193,7 @@ def test_the_axis_sticks_up_to_its_stiction_and_no_speed_is_beyond_its_limit():
         axis = ByHand(DcAxisPlant(**p))
         axis.advance(0, command=(volts,))
         assert (axis.outputs(MS)["true_state"][1] != 0.0) is moves
-    # a value as large as the limit is no error
+    # A value equal to the limit is allowed.
     assert ByHand(DcAxisPlant(**{**p, "coulomb": 60.0})).outputs(0)["true_state"] == (0.0, 0.0)
 
 
@@ -246,7 +247,7 @@ def test_the_controller_on_estimates_equals_the_one_on_scipys_kalman_filter():
     law = ByHand(DcMotorSmcKalman(period=0.001, delta=3.0, set_point=7.0))
     p, draw_ = law.block.p, Random(5)
     count = math.tau / p.counts_per_rev
-    a = np.zeros((5, 5))  # w, i, theta, load, and the voltage
+    a = np.zeros((5, 5))  # states w, i, theta, load and voltage
     a[0, :4] = -p.b / p.J, p.Kt / p.J, 0.0, -1.0 / p.J
     a[1, :5] = -p.Ke / p.L, -p.R / p.L, 0.0, 0.0, 1.0 / p.L
     a[2, 0] = 1.0
@@ -277,9 +278,9 @@ def test_another_set_point_counts_unless_a_reference_has_overruled_it(make):
     assert x.r == -8.0
     if make is not DcMotorPid:
         assert x.size == 8.0
-        assert make(set_point=0.0).go_on(x, after.p)[:2] == (0.0, 8.0)  # K is that of the previous block
+        assert make(set_point=0.0).go_on(x, after.p)[:2] == (0.0, 8.0)  # K is still that of the previous block
     same = make(set_point=5.0, reference_limit=6.0)
-    assert same.go_on(x, before.p).r == -8.0  # the reference that is followed stays below a smaller limit
+    assert same.go_on(x, before.p).r == -8.0  # a reference followed before stays when the limit is reduced
 
 
 @pytest.mark.parametrize("command", [12.0, -12.0])
@@ -485,7 +486,7 @@ def test_a_current_at_the_trip_is_not_beyond_it(phase, sign):
 
 
 def flux_signals(t, estimate, true):
-    true_t = np.append(t, 2 * t[-1] - t[-2])  # the truth has one sample more
+    true_t = np.append(t, 2 * t[-1] - t[-2])  # the true flux has one sample more
     named = {}
     for name, times, z in (("flux_estimate", t, estimate), ("flux_true", true_t, np.append(true, 0j))):
         named[f"{name}/x"], named[f"{name}/y"] = (times, z.real), (times, z.imag)
@@ -518,8 +519,8 @@ def test_figures_of_the_flux_are_loops_over_its_samples():
 
 
 def test_the_last_revolution_is_the_last_whole_turn():
-    turned = np.exp(1j * np.radians(np.arange(0.0, 900.0, 45.0)))  # 20 samples, the last at 855 degrees
-    assert flux.last_revolution(turned).size == 8  # the sample a whole turn before the last one is excluded
+    turned = np.exp(1j * np.radians(np.arange(0.0, 900.0, 45.0)))  # 20 samples, the last one at 855 degrees
+    assert flux.last_revolution(turned).size == 8  # the sample one turn before the last is not included
     assert flux.last_revolution(turned[:8]) is None
     backwards = flux.last_revolution(turned.conj())
     assert backwards.tolist() == turned.conj()[-8:].tolist()

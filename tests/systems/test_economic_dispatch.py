@@ -12,7 +12,7 @@ from softrig_power.dispatch.solver import DispatchSolver
 from softrig_power.dispatch.two_stage import breakpoints, milp, nlp
 from softrig_power.dispatch.units import Units, balanced, marginal_cost
 
-# table, demand (MW), optimal cost ($/h), its tolerance: the cases of Sharifzadeh 2020, Tables II to VI, corrected
+# Table, demand (MW), optimal cost ($/h) and its tolerance; cases of Sharifzadeh 2020, Tables II to VI, corrected.
 CASES = {
     "I": ("units_3", 850.0, 8234.071730, 1e-4),
     "II": ("units_13", 1800.0, 17963.829201, 1e-3),
@@ -124,7 +124,7 @@ def test_the_plain_two_stages_are_no_proof():
     assert Optimiser(units, nseg=1).two_stage(850.0).cost == pytest.approx(8343.936, abs=1e-2)
     assert Optimiser(units, nseg=4).two_stage(850.0).cost == pytest.approx(8234.071730, abs=1e-4)
     first = milp(units, 850.0, breakpoints(units, 4))
-    assert first.objective == pytest.approx(8233.03, abs=0.01)  # chords: 1 $/h below any dispatch
+    assert first.objective == pytest.approx(8233.03, abs=0.01)  # the chords are 1 $/h below any dispatch
     assert first.binaries == 51
     assert units.total(first.P) > 8234.07
     forty = Units.read("units_40")
@@ -176,7 +176,7 @@ def test_order_and_copies_of_units_change_nothing():
     twice = Units(tuple(f"{c}{i}" for c in "ab" for i in units.ids), np.tile(units.table, (2, 1)))
     double = Optimiser(twice).certified(3600.0)
     assert double.reason == "proven"
-    assert double.cost <= 2 * cost + 1e-6  # two copies can share what one has to swallow
+    assert double.cost <= 2 * cost + 1e-6  # twice the demand for twice the units costs at most twice as much
     assert double.cost == pytest.approx(2 * cost, rel=2e-3)
 
 
@@ -227,7 +227,7 @@ def test_lambda_iteration_meets_equal_slopes_and_bounds_the_cost():
     assert feasible(units, P, 10500.0)
     left, right = plain.slopes(P)
     assert left.max() == pytest.approx(right.min(), abs=1e-6)
-    # an independent solver of the same quadratic problem
+    # An independent solver for the same quadratic problem.
     assert plain.total(P) == pytest.approx(plain.total(nlp(plain, 10500.0, P * 0 + units.p_min)[0]), abs=1e-5)
     assert plain.total(P) < 121412.5
 
@@ -278,7 +278,7 @@ def node():
     block = ByHand(DispatchSolver(unit_table="units_3"))
     block.reset(0)
     yield block
-    block.reset(0)  # ends the working process
+    block.reset(0)  # ends the process of the solver
 
 
 def ask(node, t, demand, **inputs):
@@ -294,13 +294,14 @@ def test_a_result_is_published_once_with_its_cost_and_rows(node):
     units = Units.read("units_3")
     assert rows[:, 0].tolist() == list(result["setpoints"])
     assert rows[:, 1] == pytest.approx(units.cost(rows[:, 0]))
-    assert rows[:, 2:].tolist() == [[3, 0], [3, 1], [5, 1]]  # arch, and whether at its end: unit 1 takes the rest
+    # The arch, and whether the unit is at its end; unit 1 supplies the rest.
+    assert rows[:, 2:].tolist() == [[3, 0], [3, 1], [5, 1]]
     demand, cost, bound, gap, *_ = result["summary"]
     assert (demand, cost) == (850.0, units.total(rows[:, 0]))
     assert gap == cost - bound
     assert ask(node, 1, 850.0) == {}
-    assert ask(node, 2, 850.0, solve=(1.0,))["summary"][1] == cost  # pressed: once more
-    assert ask(node, 3, 850.0, solve=(1.0,)) == {}  # held down: not again
+    assert ask(node, 2, 850.0, solve=(1.0,))["summary"][1] == cost  # pressed, so it solves again
+    assert ask(node, 3, 850.0, solve=(1.0,)) == {}  # still pressed, so it does not
 
 
 def test_a_bad_table_stops_the_node_and_the_scenario(tmp_path):

@@ -15,7 +15,7 @@ def test_every_shipped_falsification_fits_its_rig(name):
     scenario = load_scenario(task.scenario)
     assert set(task.requirements) <= scenario.requirements.keys() | scenario.expect.keys()
     space = space_of(scenario, [parse(key, text) for key, text in task.over.items()])
-    for over, nominal in zip(space.overs, space.nominal, strict=True):  # the paper's own numbers are in the range
+    for over, nominal in zip(space.overs, space.nominal, strict=True):  # the paper's values lie in the range
         numbers = nominal if isinstance(nominal, list) else [nominal]
         assert all(over.low <= x <= over.high for x in numbers)
 
@@ -23,7 +23,7 @@ def test_every_shipped_falsification_fits_its_rig(name):
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(list_falsifications()))
 def test_outcome(name, tmp_path):
-    # least margins of the worst run, and what the small case changes
+    # Least margins of the worst run, and the changes of the small case.
     known = {
         "dc_motor_insensitive": (
             {"settles": -2.0828},
@@ -38,7 +38,7 @@ def test_outcome(name, tmp_path):
         "pwa_delay_tank": ({"never_dry": -0.0005}, {"tank_plant.delay": 6.52030}),
         "tcp_aqm_flows": ({"settles": -117.6}, {"tcp_fluid.tau_p": 0.217495}),
         "rectifier_mpc_load": ({"recovers": -197.353, "dip": -145.353}, {"gpc_controller.lam": 253.398}),
-        # margins of delay: 0.0200056 s, and 0.4192653 s (test_pwa_delay.py::test_margin_of_the_pendulum_by_growth)
+        # Margins of delay: 0.0200056 s, and 0.4192653 s (test_pwa_delay.py::test_margin_of_the_pendulum_by_growth).
         "pwa_delay_growth": ({"growth": -0.00494562}, {"switched_delay_plant.delay": 0.02000596}),
         "pwa_delay_growth_pendulum": ({"growth": -0.0648226}, {"switched_delay_plant.delay": 0.4192676}),
         "induction_dtc_resistance": ({"flux_band": -36.3648, "current": -17.8988}, {"im_plant.R_s": 3.68682}),
@@ -47,12 +47,12 @@ def test_outcome(name, tmp_path):
     content = json.loads((tmp_path / "outcome.json").read_text())
     assert (status, bool(content["violated"])) == (1, True)
     small = simulate(load_scenario(str(tmp_path / f"{name}_small.yaml")))
-    bounds = small.rig.scenario.expect  # of a figure the margin is the distance to its bound
+    bounds = small.rig.scenario.expect  # the margin of a figure is its distance to the bound
     assert {n: bounds[n].margin(x) if n in bounds else x for n in content["small"] for x in [small.figures[n]]} == (
         content["small"]
     )
     worst, changes = known.get(name, ({}, {}))
-    assert content["runs"] == falsification_of(name, {}).budget  # no run is left
+    assert content["runs"] == falsification_of(name, {}).budget  # all runs are made
     for key, margin in worst.items():
         assert content["worst"][key] == pytest.approx(margin, rel=1e-4)
     for key, value in changes.items():

@@ -86,7 +86,7 @@ def test_single_phase_fault():
     assert line.state.opened[1:].tolist() == [0.0, 0.0]
     assert samples[49_700:, 12:].any() == np.False_
     arrival = np.flatnonzero(np.abs(np.diff(samples[:, 0] - samples[:, 1], 2)) > 1e3)[0] + 2
-    assert arrival * 1e-6 - 0.020 == pytest.approx(180.5e-6, abs=2e-6)  # the cubic sees it a step before
+    assert arrival * 1e-6 - 0.020 == pytest.approx(180.5e-6, abs=2e-6)  # cubic interpolation reacts one step early
 
 
 def test_three_phase_fault():
@@ -101,7 +101,7 @@ def test_halving_the_step():
     fine = simulated(step=0.5e-6).samples
     change = np.sqrt(np.mean((coarse - fine) ** 2, axis=0) / np.mean(coarse**2, axis=0))
     assert change.max() < 0.003
-    assert change.reshape(4, 3)[[1, 3]].max() < 0.0004  # currents
+    assert change.reshape(4, 3)[[1, 3]].max() < 0.0004  # changes of the currents
 
 
 # the 48 published cases --------------------------------------------------------------------------------------------
@@ -124,7 +124,8 @@ def test_published_table_agrees_with_itself():
     np.testing.assert_allclose(
         [np.mean(every, axis=1), np.max(every, axis=1)], [[0.226, 0.419], [0.806, 1.004]], atol=5e-4
     )
-    # rows of the two-phase fault to ground at 5 and 50 km, and of the whales at 100 km, were copied
+    # The published rows of the two-phase fault to ground at 5 and 50 km, and those of the whales at 100 km, are
+    # copies.
     for x in (5.0, 50.0):
         assert PUBLISHED[Case("ABG", x, 5.0)] == PUBLISHED[Case("ABG", x, 15.0)]
     assert PUBLISHED[Case("ABG", 100.0, 5.0)].woa_km == PUBLISHED[Case("ABG", 100.0, 15.0)].woa_km
@@ -149,7 +150,7 @@ def test_48_cases(profile, largest, mean):
     assert errors.max() == pytest.approx(largest, rel=0.01)
     assert errors.mean() == pytest.approx(mean, rel=0.01)
     if profile in ("m20k", "m100k"):
-        stretch = {"m20k": 12.0, "m100k": 2.4}[profile]  # 0.010 % and 0.002 % of 120 km
+        stretch = {"m20k": 12.0, "m100k": 2.4}[profile]  # m: 0.010 % and 0.002 % of 120 km
         assert errors.max() <= stretch
 
 
@@ -197,7 +198,7 @@ def test_small_swarms(record, algorithm, within):
     best = located(record).x_km
     errors = [abs(located(record, algorithm=algorithm, n_pop=10, n_iter=20, seed=s).x_km - best) for s in range(20)]
     assert max(errors) < within
-    assert len(set(errors)) == 20  # the seed acts
+    assert len(set(errors)) == 20  # each seed gives another error
 
 
 @pytest.mark.long
@@ -238,7 +239,7 @@ def test_equations_as_printed():
 
 # sensitivity -------------------------------------------------------------------------------------------------------
 
-REFERENCE = {  # metres, mode a - b: what a reference calculation gave, and how near ours comes
+REFERENCE = {  # For each mode: errors of a reference calculation in m, and how close softrig's are.
     "none": ([-9, 5, -1, 3], 2.0),
     "R end late by 1 us": ([-8, 15, 14, 8], 6.0),
     "u_S +0.5 %": ([136, 454, 57, 82], 8.0),
@@ -252,7 +253,7 @@ REFERENCE = {  # metres, mode a - b: what a reference calculation gave, and how 
 @pytest.mark.long
 @pytest.mark.parametrize("noise", [False, True])
 def test_sensitivity(noise, monkeypatch):
-    if not noise:  # 120 of the 160 places
+    if not noise:  # without noise, 120 of the 160 places
         monkeypatch.setattr(study, "NOISE_SEEDS", 0)
     table = study.sensitivity(mode="1", processes=1)
     assert any("SNR" in name for name in table) == noise
@@ -260,7 +261,7 @@ def test_sensitivity(noise, monkeypatch):
         if "SNR" in name and not noise:
             continue
         np.testing.assert_allclose(table[name], reference, atol=apart, err_msg=name)
-    expected = {  # the numbers of the page
+    expected = {  # the page has these numbers
         "none": [-10, 5, -1, 3],
         "SNR 60 dB, std": [5, 8, 4, 2],
         "SNR 40 dB, std": [48, 85, 40, 28],
@@ -312,7 +313,7 @@ def test_ends_of_other_rates(slow, fast, within, swapped):
         assert located(joined).x_km == pytest.approx(case.x_km, abs=within)
 
 
-WIRED = {  # what is wrong at an end, and what the locator says about it
+WIRED = {  # each wrong wiring of an end, as a change of the samples
     "i_s reversed": lambda s: s[:, 3:6].__imul__(-1.0),
     "i_r reversed": lambda s: s[:, 9:12].__imul__(-1.0),
     "i_s and i_r reversed": lambda s: (s[:, 3:6].__imul__(-1.0), s[:, 9:12].__imul__(-1.0)),
@@ -342,7 +343,8 @@ def test_ends_that_contradict_each_other(name, case):
     record = simulated(case)
     WIRED[name](record.samples)
     result = located(record)
-    if name == "phase b of i_r reversed" and case.type == "AG":  # a healthy phase: too little of it in the fault
+    # A healthy phase carries too little of the fault to be judged.
+    if name == "phase b of i_r reversed" and case.type == "AG":
         assert result.x_km is None or result.x_km == pytest.approx(case.x_km, abs=2.5)
         return
     assert (result.status, result.x_km) == (Status.CONTRADICTORY, None)
@@ -355,12 +357,12 @@ def test_a_healthy_line_of_a_reversed_transformer(record):
     result = located(healthy)
     assert result.status == Status.CONTRADICTORY
     assert result.text == "contradictory: with i_r reversed the ends are those of a healthy line: wired so?"
-    near = located(simulated(Case("AG", 118.8, 0.0)))  # a fault near R is one
+    near = located(simulated(Case("AG", 118.8, 0.0)))  # an actual fault close to R
     assert (near.status, near.x_km) == (Status.OK, pytest.approx(118.8, abs=0.02))
     other = located(record, line__length=240.0)
     assert other.status == Status.CONTRADICTORY
     assert "the data of another line" in other.text
-    noisy = simulated(measurement__noise_snr_db=30.0)  # 1.3 %
+    noisy = simulated(measurement__noise_snr_db=30.0)  # noise of 1.3 % at 30 dB
     assert located(noisy, disagreement=0.005).status == Status.CONTRADICTORY
 
 
@@ -408,7 +410,7 @@ def test_short_lines_are_located_at_every_rate(profile, length):
 def test_minimum_at_the_terminal(record):
     swapped = Record(0.0, 20_000.0, np.hstack([record.samples[:, 6:], record.samples[:, :6]]))
     assert located(swapped).x_km == pytest.approx(70.0, abs=0.02)
-    beyond = located(record, line__length=40.0, line__l1=1.2e-3)  # the line is longer than the locator believes
+    beyond = located(record, line__length=40.0, line__l1=1.2e-3)  # the actual line is longer than that of the locator
     assert beyond.status == Status.CONTRADICTORY
 
 
@@ -430,7 +432,7 @@ def test_confidence_covers_the_error():
             confidence(noisy, p, location, ErrorBudget(sync_us=0, ratio=0, reactance=0, resistance=0)).scatter_km
         )
     assert 0.3 < np.mean(scatters) / np.std(errors) < 3.0
-    assert scatters[0] == pytest.approx(0.0610, rel=0.02)  # km; of eight stretches
+    assert scatters[0] == pytest.approx(0.0610, rel=0.02)  # km, from eight parts of the window
     clean = simulated()
     trust = confidence(clean, p, locate(clean, p))
     table = {"clocks 1 us": 0.0018, "u_s 0.5 %": 0.138, "L1 1 %": 0.095}
@@ -883,7 +885,7 @@ def test_a_bag_stamped_by_a_wall_clock_is_located(record, tmp_path, capsys):
 # long ----------------------------------------------------------------------------------------------------------------
 
 
-PERCENT = {  # of the line: mean and largest error over the 48 cases
+PERCENT = {  # mean and largest error over the 48 cases, in % of the line
     "brent": (0.0032, 0.0093),
     "woa": (0.0032, 0.0093),
     "gwo": (0.0033, 0.0093),

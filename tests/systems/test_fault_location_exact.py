@@ -22,8 +22,8 @@ from softrig_power.fault_location.records.record import Record
 from softrig_power.fault_location.study import simulate
 from softrig_power.lines.modal import CLARKE
 
-SPAN, STEP = 0.064, 1e-6  # s, of the inverse transform
-ON, END = 0.020, 0.0402  # s
+SPAN, STEP = 0.064, 1e-6  # s, duration and step of the inverse transform
+ON, END = 0.020, 0.0402  # s, start of the fault and end of the record
 OMEGA = 2.0 * math.pi * 50.0
 TURN = np.exp(-2j * math.pi / 3.0 * np.arange(3))
 RIG = RigParams()
@@ -65,7 +65,7 @@ def answer(case):
     damping = math.log(1e6) / SPAN
     k = np.arange(n // 2 + 1)
     s = damping + 2j * math.pi * k / SPAN
-    impedance = np.empty((3, s.size), dtype=complex)  # of both line ends at the fault, by mode
+    impedance = np.empty((3, s.size), dtype=complex)  # impedance of both line ends seen from the fault, by mode
     to_end = {}
     for mode in range(3):
         total = 0.0
@@ -73,7 +73,7 @@ def answer(case):
             angle, zc = line(s, mode, length)
             zs = source(s, mode)
             ratio = 1.0 / (1.0 + np.exp(-2.0 * angle) + (zc / zs) * (1.0 - np.exp(-2.0 * angle)))
-            to_end[end, mode] = 2.0 * np.exp(-angle) * ratio  # u at the end for 1 V at the fault
+            to_end[end, mode] = 2.0 * np.exp(-angle) * ratio  # voltage at the end for 1 V at the fault
             inside = zc * (1.0 - np.exp(-2.0 * angle)) + zs * (1.0 + np.exp(-2.0 * angle))
             outside = zc * (1.0 + np.exp(-2.0 * angle)) + zs * (1.0 - np.exp(-2.0 * angle))
             total = total + outside / (zc * inside)
@@ -110,7 +110,7 @@ def exact(case, profile):
     waves = (np.exp(1j * OMEGA * t)[:, None] * phasors).real
     first = round(ON / STEP)
     waves[first:] += answer(case)[: len(t) - first]
-    if profile.startswith("m"):  # the filter is quiet long before the fault
+    if profile.startswith("m"):  # the filter must settle long before the fault
         waves = sosfilt(butter(4, RATES[profile] / 5.0, fs=1.0 / STEP, output="sos"), waves, axis=0)
     return Record(0.0, float(RATES[profile]), np.ascontiguousarray(waves[:: round(1.0 / STEP / RATES[profile])]))
 

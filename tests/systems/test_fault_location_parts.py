@@ -91,10 +91,10 @@ def test_fit_records_are_accepted():
     jitter = Record.from_table(changed(5, 5.1))
     assert (jitter.start, jitter.rate, jitter.note) == (0.0, 1.0, "")
     assert jitter.t.tolist() == list(range(20))
-    once = changed(slice(1, None), 0.0, channel=4)  # one value of a channel is enough
+    once = changed(slice(1, None), 0.0, channel=4)  # a channel counts as alive if one of its values differs
     assert Record.from_table(once).group("i_s")[0, 0] == CHANCE[0, 3]
     result = Record.from_table(table(np.array([0.123456789123, 0.3734567891, 0.6234567891])))
-    assert (result.start, result.rate) == (0.123456789, 4.0)  # to a ns and to a mHz
+    assert (result.start, result.rate) == (0.123456789, 4.0)  # rounded to a ns and to a mHz
     assert Record.from_table(table(np.arange(3) / 3.0)).rate == 3.0
     assert Record.from_table(table(np.arange(50) * 0.3)).rate == 3.333
     for k, name in enumerate(("u_s", "i_s", "u_r", "i_r")):
@@ -406,7 +406,7 @@ def test_two_recorders_are_aligned_by_their_clocks_and_reported(tmp_path):
     long = whole(40)
     s = write_comtrade(tmp_path / "s", long, "s")[0]
     r = write_comtrade(tmp_path / "r", long, "r", clock_late=0.001)[0]
-    result = read_comtrade([s, r])  # R began a ms, four samples, later
+    result = read_comtrade([s, r])  # R starts 1 ms, that is four samples, later
     assert (result.start, result.rate, len(result.samples)) == (0.001, 4000.0, 36)
     assert result.samples.tolist() == np.hstack([long.samples[4:, :6], long.samples[:36, 6:]]).tolist()
     again = read_comtrade([s, r], late=(0.0, 0.001))
@@ -502,7 +502,7 @@ def test_whole_delays_are_those_of_the_paper(plain):
     model, out = equations.model(LINE), np.empty(8)
     plain.objectives_integer.py_func(model, ENDS, 20_000.0, 30, 7, out)
     v = 1.0 / math.sqrt(1e-3 * 1.2e-8)
-    whole = 100.0 / v * 20_000.0  # 6.93
+    whole = 100.0 / v * 20_000.0  # 6.93 samples
     for n in range(7):
         wanted = f_of(n * v / 20_000.0, 20_000.0, "corrected", 30, 7, (n, round(whole - n)))
         assert out[n] == pytest.approx(wanted, rel=1e-9)
@@ -519,10 +519,11 @@ def long_record(n=1200, rate=20_000.0, start=0.0):
 
 def test_the_window_in_samples_and_its_margin_are_as_expected():
     work = Objective(long_record(), LocatorParams())
-    assert (work.first, work.count) == (420, 371)  # 21 to 39.5 ms
+    assert (work.first, work.count) == (420, 371)  # from 21 to 39.5 ms
     assert Objective(long_record(start=0.001), LocatorParams()).first == 400
     section = LocatorParams().line.aerial
-    assert work.travel == pytest.approx(120.0 / section.velocity * 20_000.0)  # 8.66: 8 and three of the cubic's taps
+    # 8.66 samples: 8, and three more taps of the cubic.
+    assert work.travel == pytest.approx(120.0 / section.velocity * 20_000.0)
     for n, first, last, good in [
         (802, 0.021, 0.0395, True),
         (801, 0.021, 0.0395, False),
@@ -610,11 +611,11 @@ FLAT, SMALL, LARGE = (1900.0, 1000.0), (2000.0, 400.0), (9000.0, 900.0)
     [
         ((FLAT, SMALL, LARGE), {}, "OK", 3, "", 0.05),
         ((LARGE, SMALL, FLAT), {}, "OK", 1, "", 0.05),
-        ((FLAT, SMALL, FLAT), {}, "OK", 2, "", 0.05),  # 2,000 V and a ratio of 5, both just enough
+        ((FLAT, SMALL, FLAT), {}, "OK", 2, "", 0.05),  # 2,000 V and a ratio of 5 are both just enough
         ((FLAT, (1999.0, 10.0), FLAT), {}, "NO_FAULT", 2, NONE.format(1999, 10, 2), None),
         ((FLAT, (2500.0, 501.0), FLAT), {}, "NO_FAULT", 2, NONE.format(2500, 501, 2), 0.02),
         ((FLAT, (2500.0, 501.0), FLAT), {"disagreement": 0.01}, "NO_FAULT", 2, NONE.format(2500, 501, 2), 0.01),
-        ((FLAT, SMALL, LARGE), {"mode": "2"}, "OK", 2, "", 0.05),  # a fifth of the largest is enough
+        ((FLAT, SMALL, LARGE), {"mode": "2"}, "OK", 2, "", 0.05),  # a mode needs a fifth of the largest signal
         (
             (FLAT, SMALL, (10001.0, 900.0)),
             {"mode": "2"},
@@ -640,7 +641,7 @@ def test_the_mode_and_the_presence_of_a_fault_are_decided(monkeypatch, curves, s
 def test_a_contradiction_is_reported_first(monkeypatch):
     result, _ = chooser((FLAT, SMALL, LARGE), monkeypatch, "so it is")
     assert (result.status, result.text, result.mode, result.x_km) == (Status.CONTRADICTORY, "so it is", 3, None)
-    # without a fault the contradiction is not checked
+    # Contradictions are not checked if there is no fault.
     assert chooser((FLAT, FLAT, FLAT), monkeypatch, "so it is")[0].status == Status.NO_FAULT
 
 
@@ -708,7 +709,7 @@ def test_brent_stays_in_the_cells_beside_the_lowest_grid_point():
     assert brent(work_of(lambda p: abs(p - 37.0)), 1) == (pytest.approx(37.0, abs=1e-5), pytest.approx(1.0, abs=1e-5))
     assert brent(work_of(lambda p: p), 1) == (0.0, 1.0)
     assert brent(work_of(lambda p: -p), 3) == (100.0, -97.0)
-    spike = work_of(lambda p: -5.0 if p == 40.0 else abs(p - 43.0))  # a spike that Brent's method does not evaluate
+    spike = work_of(lambda p: -5.0 if p == 40.0 else abs(p - 43.0))  # Brent's method does not evaluate this spike
     assert brent(spike, 1) == (40.0, -4.0)
     rough = work_of(lambda p: abs(p - 37.0), tolerance=1.0)
     assert brent(rough, 1)[0] == pytest.approx(37.0, abs=1.0)
@@ -754,19 +755,20 @@ def test_the_end_with_the_earlier_front_is_nearer(at_s, at_r):
 def test_fronts_are_detected_as_expected():
     assert transient._arrival(fronts(250, 300), 1, 0) == 250
     assert transient._arrival(fronts(250, 300), 1, 2) == 300
-    quietly = fronts(250, 300, front=40.1)  # second differences of the ripple are 2: twenty times as much and more
+    # The ripple has second differences of 2, and a front must exceed them twenty times.
+    quietly = fronts(250, 300, front=40.1)
     assert transient._arrival(quietly, 1, 0) == 250
     for front in (40.0, 39.0):
         with pytest.raises(RecordError, match=r"^no_fault: no wave front arrives in the window$") as refused:
             transient._arrival(fronts(250, 300, front=front), 1, 0)
         assert refused.value.status == Status.NO_FAULT
     with pytest.raises(RecordError):
-        transient._arrival(fronts(351, 300), 1, 0)  # behind the window
+        transient._arrival(fronts(351, 300), 1, 0)  # the front lies after the window
     assert transient._arrival(fronts(349, 300), 1, 0) == 349
     early = fronts(250, 300)
-    early.ends(1)[0, 103:] += 60.0  # in the second half before the window: a front
+    early.ends(1)[0, 103:] += 60.0  # a front in the second half before the window is detected
     assert transient._arrival(early, 1, 0) == 103
-    early.ends(1)[0, 90:] += 60.0  # in the first half it is what is usual
+    early.ends(1)[0, 90:] += 60.0  # the first half before the window only measures the ripple
     with pytest.raises(RecordError):
         transient._arrival(early, 1, 0)
 
@@ -776,11 +778,12 @@ def test_phasors_of_both_ends_agree_at_the_fault(x):
     """By the telegraph equations from the fault to both ends; a place beyond an end is reported as the end."""
     omega, rate = 100.0 * math.pi, 4000.0
     gamma, zc = LINE.propagation(omega), LINE.characteristic_impedance(omega)
-    u, i_s, i_r = 3.0 + 1.0j, 0.02 - 0.01j, -0.01 + 0.03j  # at the fault: voltage, currents out of it to S and R
+    # Voltage at the fault, and currents from it towards S and R.
+    u, i_s, i_r = 3.0 + 1.0j, 0.02 - 0.01j, -0.01 + 0.03j
     ends_of = []
     for length, i in ((x, i_s), (100.0 - x, i_r)):
         ch, sh = np.cosh(gamma * length), np.sinh(gamma * length)
-        ends_of += [u * ch - zc * i * sh, -(i * ch - u * sh / zc)]  # the current flows into the line at the end
+        ends_of += [u * ch - zc * i * sh, -(i * ch - u * sh / zc)]  # currents count as positive into the line
     t = np.arange(400) / rate
     both = np.array([(p * np.exp(1j * omega * t)).real for p in ends_of])
     work = types.SimpleNamespace(
@@ -793,7 +796,7 @@ def test_a_cycle_must_end_at_the_end_of_the_window():
     work = types.SimpleNamespace(
         record=types.SimpleNamespace(rate=4000.0), p=LocatorParams(), section=LINE, ends=lambda mode: ENDS
     )
-    work.first, work.count = 70, 10  # 80 samples are a cycle
+    work.first, work.count = 70, 10  # a cycle has 80 samples
     assert 0.0 <= transient.phasor(work, 1) <= 100.0
     work.count = 9
     with pytest.raises(RecordError) as refused:
@@ -832,7 +835,8 @@ def test_the_window_is_that_of_the_study_or_what_the_record_has():
     p = LocatorParams(frequency=50.0)
     result = windowed(stepped(0, 150, 1.0), p)
     assert (result.window_start, result.window_end) == (pytest.approx(0.5385), pytest.approx(0.557))
-    beyond = 120.0 / p.line.aerial.velocity + 4.0 / 4000.0  # the travel time, and what the interpolation reads
+    # The travel time, and the samples that the interpolation needs.
+    beyond = 120.0 / p.line.aerial.velocity + 4.0 / 4000.0
     result = windowed(stepped(0, 150, 1.0, n=200), p)
     assert (result.window_start, result.window_end) == (
         pytest.approx(0.5385),
@@ -919,7 +923,7 @@ def test_the_scatter_is_that_of_eight_parts_within_two_km(x, length):
     assert {mode for _, mode, _ in seen} == {3}
     assert min(at for at, *_ in seen) >= max(x - 2.0, 0.0)
     assert max(at for at, *_ in seen) <= min(x + 2.0, length)
-    few = types.SimpleNamespace(f=f, section=work.section, first=0, count=5)  # fewer samples than stretches
+    few = types.SimpleNamespace(f=f, section=work.section, first=0, count=5)  # fewer samples than parts of the window
     assert trust._scatter(few, Location(Status.OK, x, mode=3)) >= 0.0
     assert all(b > 0 for _, b in places)
 
@@ -1031,15 +1035,15 @@ NOBODY = (
 @pytest.mark.parametrize(
     ("own", "others", "more", "reported"),
     [
-        (1.0, {"x": 0.0}, {}, ""),  # a thousandth of the voltage is too small for the check
+        (1.0, {"x": 0.0}, {}, ""),  # differences below a thousandth of the voltage are not checked
         (1.01, {"x": 0.101}, {}, WIRED.format(1.01, 0.101, "x")),
-        (40.0, {"x": 4.1}, {}, ""),  # not ten times as well
+        (40.0, {"x": 4.1}, {}, ""),  # another wiring must fit ten times better
         (40.0, {"x": 4.0}, {}, WIRED.format(40, 4, "x")),
         (40.0, {"x": 4.0, "y": 3.0}, {}, WIRED.format(40, 3, "y")),
-        (50.0, {"x": 9.0}, {}, ""),  # a twentieth of the voltage is allowed
+        (50.0, {"x": 9.0}, {}, ""),  # the ends may differ by a twentieth of the voltage
         (51.0, {"x": 9.0}, {}, NOBODY.format(51, 5.1)),
         (51.0, {}, {}, NOBODY.format(51, 5.1)),
-        (40.0, {"x": 1.0}, {"part": 13.4}, ""),  # in a part of the window not three times as well
+        (40.0, {"x": 1.0}, {"part": 13.4}, ""),  # within a part of the window it must fit three times better
         (39.0, {"x": 1.0}, {"part": 13.0}, WIRED.format(39, 1, "x")),
         (200.0, {"x": 99.0}, {"least_at": 0}, "contradictory: with x the ends are those of a healthy line: wired so?"),
         (200.0, {"x": 99.0}, {"least_at": 4}, "contradictory: with x the ends are those of a healthy line: wired so?"),
@@ -1087,7 +1091,7 @@ def test_the_fault_branch_by_nodal_equations(kind):
         wanted = np.zeros((3, 3))
         if set(closed) <= set(letters) and (len(closed) > 1 or (closed and "G" in kind)):
             n = len(closed)
-            y = np.zeros((n + 1, n + 1))  # terminals of the phases, star point
+            y = np.zeros((n + 1, n + 1))  # terminals of the phases, and the star point
             y[:n, :n] = np.linalg.inv(behind[np.ix_(closed, closed)]) + 0.25 * np.eye(n)
             y[:n, n] = y[n, :n] = -0.25
             y[n, n] = 0.25 * n + (1e3 if "G" in kind else 0.0)
@@ -1141,7 +1145,7 @@ def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, ph
         RigParams, {"fault.type": "ABCG", "fault.rf_ohm": 7.0, "fault.x_km": 30.0, "measurement.profile": "raw1m"}
     )
     line = FaultedLine(p)
-    net, chance, n = line.net, np.random.default_rng(11), 25_000  # between closing and opening
+    net, chance, n = line.net, np.random.default_rng(11), 25_000  # tick between closing and opening
     net = net._replace(on=n if any(phase) else n + 1)
     state = line.state._replace(phase=np.array(phase))
     state.ring[:] = chance.normal(0.0, 300.0, state.ring.shape)
@@ -1155,7 +1159,8 @@ def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, ph
     g, C = net.lines.conductance, CLARKE
     closed = [k for k in range(3) if phase[k] == 1]
     m = len(closed)
-    A, b = np.zeros((16 + m, 16 + m)), np.zeros(16 + m)  # modes at S, F, R; sources; star point; fault currents
+    # Unknowns: modes at S, F and R; sources; star point; fault currents.
+    A, b = np.zeros((16 + m, 16 + m)), np.zeros(16 + m)
     angles = 100.0 * math.pi * n * 1e-6 + np.array([0.0, math.radians(-10.0)])
     for end, node in ((0, 0), (1, 6)):
         emf = 400e3 * np.array([0.0, math.cos(angles[end]), math.sin(angles[end])])
@@ -1218,17 +1223,17 @@ def test_phases_close_and_open_at_the_expected_steps(monkeypatch):
     np.testing.assert_allclose(current, net.closed[0b011] @ [1e4, 2e4, 3e4])
     assert current[2] == 0.0
     largest = [abs(c) for c in current]
-    phase, current = step(199, [-1e3, 2e3, 0.0])  # signs change too early
+    phase, current = step(199, [-1e3, 2e3, 0.0])  # a change of sign before this time is ignored
     assert phase == [1, 1, 2]
     np.testing.assert_allclose(current, net.closed[0b011] @ [-1e3, 2e3, 0.0])
     phase, current = step(200, [-1e3, 2e3, 0.0])
     assert phase == [1, 1, 2]
-    # the current of the first phase has reversed; the second phase continues alone
+    # The current of the first phase changes its sign, so that phase opens; the second one continues.
     phase, current = step(201, [3e3, 2e3, 0.0])
     assert phase == [2, 1, 2]
     np.testing.assert_allclose(current, net.closed[0b010] @ [3e3, 2e3, 0.0])
     assert state.opened.tolist() == pytest.approx([201e-6, 0.0, 0.0])
-    phase, current = step(202, [3e3, 0.0, 0.0])  # no current is a change, too
+    phase, current = step(202, [3e3, 0.0, 0.0])  # a current of zero counts as a change of sign
     assert (phase, current) == ([2, 2, 2], [0.0, 0.0, 0.0])
     assert state.opened.tolist() == pytest.approx([201e-6, 202e-6, 0.0])
     assert state.peak.tolist() == pytest.approx(largest)
@@ -1288,7 +1293,7 @@ def test_the_first_sample_is_that_of_the_steady_state_at_each_clock(shift):
             angle = -2.0 * math.pi / 3.0 * phase - 100.0 * math.pi * 1e-6 * late[end]
             wanted.append(ratio * abs(phasor) * math.cos(np.angle(phasor) + angle))
     assert line.state.measured.tolist() == pytest.approx(wanted, rel=1e-9)
-    line.advance(20)  # the delayed measurements of now were taken before t = 0
+    line.advance(20)  # after 20 steps the delayed measurements are still from before t = 0
     for k, (phasor, end, ratio) in enumerate(
         ((result.u[0], "s", 1.0), (result.i[0], "s", 1.01), (result.u[2], "r", 1.0), (result.i[1], "r", 1.0))
     ):
@@ -1317,7 +1322,7 @@ def test_the_filter_is_that_of_scipy_from_its_steady_state_on():
     state, filtered = measurement.steady_filter(sos, phasors, omega, step)
     t = step * np.arange(-4000, 40)
     waves = (phasors[:, None] * np.exp(1j * omega * t)).real
-    wanted = sosfilt(other, waves, axis=1)[:, 4000:]  # long settled
+    wanted = sosfilt(other, waves, axis=1)[:, 4000:]  # after the filter has settled
     assert filtered.real.tolist() == pytest.approx(wanted[:, 0].tolist(), rel=1e-9)
     x = waves[:, 4001:].T.copy()
     for block in (x[:1], x[1:20], x[20:]):
@@ -1336,7 +1341,7 @@ def test_the_chain_of_each_profile(profile):
     result = measurement.chain(p)
     assert result.sos.shape == ((2, 5) if profile.startswith("m") else (0, 5))
     if profile.startswith("m"):
-        rows = butter(4, RATES[profile] / 5.0, fs=1e6, output="sos")  # its whole gain is in the first section
+        rows = butter(4, RATES[profile] / 5.0, fs=1e6, output="sos")  # scipy has the whole gain in the first section
         assert np.prod(result.sos[:, :3].sum(axis=1)) == pytest.approx(np.prod(rows[:, :3].sum(axis=1)), rel=1e-6)
         poles = np.sort_complex(np.concatenate([np.roots([1.0, *row[3:]]) for row in result.sos]))
         assert np.abs(poles - np.sort_complex(np.concatenate([np.roots(r[3:]) for r in rows]))).max() < 1e-9

@@ -12,12 +12,12 @@ from softrig_core import Block, BlockParams, RunError, load_scenario, param, rig
 from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.wire import types
 
-# duration of each run, s: some ticks of its controllers and at least one message of rare publishers
+# Duration of each run in s: some ticks of its controllers, and a message of each rare publisher.
 SYSTEMS = {"dc_motor_smc": 0.003, "dc_motor_fsfb": 0.3, "induction_dtc": 0.003, "lsrm_fuzzy": 0.003, "pv_mppt": 0.02,
            "rectifier_mpc": 0.01, "fault_location": 0.001, "gupfc": 0.004, "economic_dispatch": 2.0,
            "manipulator_adsmc": 0.01, "rehab_impedance": 0.01, "pwa_delay": 0.003, "tcp_aqm_smc": 0.02,
            "optimal_control_mvim": 8.0}  # fmt: skip
-# not published within this time
+# Topics without a message in this time.
 LATER = {"fault_location": {"verdict", "location", "objective"}, "pwa_delay": {"lyapunov"}}
 KINDS = FaultParams.model_fields["kind"].annotation.__args__
 NUMBERS = {
@@ -94,7 +94,7 @@ def expected(kind, sent):
     raise AssertionError(kind)
 
 
-HEAVY = ("economic_dispatch", "optimal_control_mvim", "pwa_delay")  # solvers that take seconds
+HEAVY = ("economic_dispatch", "optimal_control_mvim", "pwa_delay")  # their solvers take seconds
 
 
 @pytest.mark.parametrize(
@@ -109,10 +109,10 @@ def test_each_kind_of_fault_changes_each_topic_as_documented(name):
     for fault, entry in faults.items():
         kind, topic = entry.parameters["kind"], entry.link.split(" -> ")[0]
         port = rig.topics[topic]
-        # a plant also publishes its final state, which no node answers
+        # A plant also publishes its final state, which no node answers.
         last = next(m.schedule.last for m in rig.members if m.name == fault)
         sent, arrived = [m for m in published(run, topic) if m[0] <= last], published(run, f"{topic}/{fault}")
-        if port.delayed:  # such a link repeats its message until a newer one arrives
+        if port.delayed:  # a delayed link repeats its message until a newer one arrives
             sent = [m for k, m in enumerate(sent) if not k or m[1] > sent[k - 1][1]]
         at = f"{fault} on {topic}"
         if not sent:
@@ -172,7 +172,7 @@ def suffered(name, duration, topic, kind):
     fault = {"link": topic, "kind": kind, **numbers}
     try:
         run = simulate(scenario.having(faults={"broken": fault}, figures={}, expect={}, claims={}, requirements={}))
-    except RunError as error:  # a plant that trips or leaves its domain ends the run with its own error
+    except RunError as error:  # a plant that trips or leaves its limits ends the run with its own error
         cause = error.__cause__
         return "" if cause is None or isinstance(cause, ValueError | RunError) else f"{type(cause).__name__}: {error}"
     odd = [

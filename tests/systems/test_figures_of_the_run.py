@@ -36,8 +36,9 @@ from softrig_core.verdict.requirements import names_of
 from softrig_power.pv.module import ModuleParams
 from softrig_power.pv.string import characteristic
 
-SIGNALS = {"signal", "reference", "final", "initial", "queue", "topic", "drive"}  # names of signals, or parts of them
-CHOSEN = {  # chosen for the measurement; why each is not a parameter of a node
+# Arguments that name signals, or parts of them.
+SIGNALS = {"signal", "reference", "final", "initial", "queue", "topic", "drive"}
+CHOSEN = {  # chosen by the scenario, with the reason why no node has this parameter
     "start": "begin of the window that is looked at", "end": "its end", "at": "the instant that is looked at",
     "last": "length of the window", "band": "what counts as settled", "level": "what counts as reached",
     "low": "definition of the rise", "high": "definition of the rise", "part": "what counts as arrived",
@@ -49,7 +50,7 @@ CHOSEN = {  # chosen for the measurement; why each is not a parameter of a node
     "v_d": "of a profile, named by the scenario: of two drives each has its own",
     "delay": "over which V is to fall: the bound of the certificate, named by the scenario",
 }  # fmt: skip
-NAMED = {"v_d", "delay"}  # of these, what must be a reference to a node
+NAMED = {"v_d", "delay"}  # those of them that must refer to a parameter of a node
 
 
 def test_every_argument_of_every_figure_function_is_accounted_for():
@@ -62,7 +63,7 @@ def test_every_argument_of_every_figure_function_is_accounted_for():
         assert agreed <= {a.name for a in arguments}, name
 
 
-NUMBERS = {  # that stand in figure functions; no node has any of them
+NUMBERS = {  # constants of figure functions, which no node has
     5e-10: "s, to the nearest ns",
     1e-9: "s, to the nearest ns",
     1e-6: "s, of rounding",
@@ -107,7 +108,7 @@ def test_no_figure_function_has_a_numeric_constant_of_a_system():
     modules, seen = {f.__module__ for f in functions}, set()
     results = {n for f in functions for n in numbers_of(f, modules, seen)}
     assert results - {-2, -1, 0, 1, 2} <= set(NUMBERS)
-    assert {1.2, 5e-10, 6.0} <= results  # constants of a module, of a helper, of a helper's helper
+    assert {1.2, 5e-10, 6.0} <= results  # constants of a module, of a helper function, and of a helper's helper
 
 
 # the files ----------------------------------------------------------------------------------------------------------
@@ -152,14 +153,14 @@ def own_numbers(name):
                 yield f"{name}: {figure}: {argument} = {value}"
     for requirement, entry in (what.get("requirements") or {}).items():
         formula = entry if isinstance(entry, str) else entry["formula"]
-        by_name = re.sub(r"\$[\w.]+", "", formula)  # values of nodes are references and may stay
+        by_name = re.sub(r"\$[\w.]+", "", formula)  # values of nodes are references, which are allowed
         for word in set(re.findall(r"[A-Za-z_]\w*", by_name)) & set(shared):
             value, names = followed(f"${word}", shared)
             if not isinstance(value, str) and any(uses(nodes, n) for n in names):
                 yield f"{name}: {requirement}: {word} is given to nodes, too"
 
 
-PUBLISHED = {  # numbers that are the paper's, not the rig's: figures of the scenarios, and why
+PUBLISHED = {  # figures with values of the paper that no node has, and the reason
     "rectifier_mpc_n6": "open loop: no node is told 400 V, it is what the paper's drop is to give",
 }
 
@@ -201,7 +202,7 @@ def window_square(signals, nodes, a):
     p = nodes("tcp_fluid", "tcp_packets")
     t, w = signals["network/state/window/position"]
     when, asked = signals["aqm/reference/queue/effort"]
-    t, w = t[:-1], w[:-1]  # no reference is published at the end of a run
+    t, w = t[:-1], w[:-1]  # a reference is not published at the end of a run
     q = asked[np.searchsorted(when, t + 1e-10) - 1]
     return np.mean((w - (q + p["tau_p"] * p["C"]) / p["N"]) ** 2)
 
@@ -316,11 +317,11 @@ def covered(signals, nodes, a):
 
 
 def first_unit(signals, nodes, a):
-    names = [n for n in signals if n.startswith("dispatch/setpoints/")]  # in the order of the table
+    names = [n for n in signals if n.startswith("dispatch/setpoints/")]  # as sorted in the table
     return signals[names[0]][1][-1]
 
 
-COMPUTED = {  # independent computation of the values that figures use from the rig
+COMPUTED = {  # computes independently what figures take from the rig
     "dtc_converter_error": converter_error,
     "aqm_mean_square_window": window_square,
     "aqm_utilisation": utilisation,
@@ -356,7 +357,7 @@ def argument(value, nodes, shared):
         return repr(nodes.all[node][rest] if rest in nodes.all[node] else nodes.all[node][head][int(number)])
 
     if isinstance(value, str) and value.startswith("$"):
-        return eval(re.sub(r"\$([\w.]+)", reported, value))  # a reference, or arithmetic with some, by Python
+        return eval(re.sub(r"\$([\w.]+)", reported, value))  # a reference, or arithmetic with references
     return value
 
 
@@ -392,7 +393,7 @@ def part(nodes, executable, prefix):
     return {k.removeprefix(prefix): v for k, v in nodes(executable).items() if k.startswith(prefix)}
 
 
-TAKEN = {  # what functions take from the rig, of the parameters of the nodes alone
+TAKEN = {  # what figures take from the rig, computed from the parameters of the nodes
     "tcp/N": lambda n: n("tcp_fluid", "tcp_packets")["N"],
     "tcp/C": lambda n: n("tcp_fluid", "tcp_packets")["C"],
     "tcp/tau_p": lambda n: n("tcp_fluid", "tcp_packets")["tau_p"],
@@ -408,7 +409,7 @@ TAKEN = {  # what functions take from the rig, of the parameters of the nodes al
     "tank/hold": lambda n: n("tank_controller")["period"],
     "dispatch/units": names_of_table,
 }
-OWN = {  # parameters of monitors that bear the name of another node's, and are their own
+OWN = {  # parameters of monitors that only share their name with a parameter of another node
     "substeps": "how finely it computes",
     "period": "how often it looks",
     "horizon": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
@@ -431,7 +432,8 @@ def wanted(rig):
             yield ("formulas", name), value
     plants = [m.name for m in rig.members if m.is_plant]
     for monitor in (m for m in rig.members if issubclass(m.block_class, Observer) and m.executable != "figures"):
-        own = set(OWN) | ({"inertia"} if nodes.all[monitor.name].get("problem") != "spacecraft" else set())  # unused
+        # Other problems do not use the inertia.
+        own = set(OWN) | ({"inertia"} if nodes.all[monitor.name].get("problem") != "spacecraft" else set())
         for name in set(nodes.all[monitor.name]) - own:
             yield from (((monitor.name, name), nodes.all[p][name]) for p in plants if name in nodes.all[p])
 
@@ -496,7 +498,7 @@ def changes(rig):
     parts = list({id(part): part for part in group.values()}.values())
     values |= rig.scenario.shared
 
-    def beside(name, share):  # periods are multiples of each other; a cycle is not longer than its record
+    def beside(name, share):  # periods must stay multiples of each other, and a cycle within its record
         if name.endswith("command_period"):
             return 0.5 * values[name]
         return 2.0 * values[name] if name.endswith("period") else nudged(values[name], share)
@@ -559,7 +561,7 @@ def follows(scenario):
         for k, stated in (entry.get("arguments") or {}).items():
             value, _ = followed(stated, shared)
             if isinstance(value, str) and re.fullmatch(r"\$\w+\.[\w.]+", value):
-                asked[k] = {re.sub(r"\.\d+$", "", value[1:])}  # an element of a list: the list
+                asked[k] = {re.sub(r"\.\d+$", "", value[1:])}  # for an element of a list, take the list
         stuck = [k for k, names in asked.items() if (figure, k) not in moved and not names <= set(refused)]
         assert not stuck, f"{scenario}: {figure}: nothing moves {stuck}; refused: {refused}"
 
@@ -573,7 +575,8 @@ def times_of(rig):
                 yield from ((t, name) for t in (value if isinstance(value, list) else [value]) if t)
 
 
-BESIDE = {  # figures' own times near a node's: system, argument and parameter; why they are two things
+# Times of figures that only happen to be close to one of a node: system, argument, parameter and the reason.
+BESIDE = {
     ("manipulator", "start", "disturbance.time"): "the figure's name says which seconds, as the paper does",
     ("manipulator", "start", "cycle"): "the last tick of the run",
     ("manipulator", "end", "cycle"): "the last tick of the run",
@@ -647,7 +650,7 @@ def measured_for_each_change(scenario):
         except ScenarioError:
             continue
         if change is not None and all(same(before.get(k), v) for k, v in wanted(other)):
-            continue  # the same arguments, so the same numbers
+            continue  # the arguments have not changed, so the figures have not either
         for figure, result in now.items():
             try:
                 value = expected(other, figure, run.signals, scenario)
@@ -655,7 +658,8 @@ def measured_for_each_change(scenario):
                 value = error
             if isinstance(value, Exception):
                 assert isinstance(result, type(value)), f"{change}: {figure} is {result}, but {value}"
-            elif isinstance(result, Exception):  # impossible: of a recording that was made without the change
+            elif isinstance(result, Exception):
+                # Impossible with this change, because the recording was made without it.
                 assert "impossible" in str(result), f"{change}: {figure}: {result}, computed {value}"
             else:
                 assert result == pytest.approx(value, rel=1e-9, abs=1e-12, nan_ok=True), f"{change}: {figure}"
@@ -664,14 +668,14 @@ def measured_for_each_change(scenario):
     return moved
 
 
-RECORDED = {  # scenario: functions that must move there with what they take
+RECORDED = {  # scenarios, with the functions whose values must change with their arguments
     "tcp_aqm_smc_s5_sspd": {"aqm_mean_square_window"},
     "tcp_aqm_smc_s4": {"aqm_utilisation"},
-    "economic_dispatch_wood": set(),  # dispatch_set_point takes names, of which there is no little change
+    "economic_dispatch_wood": set(),  # dispatch_set_point takes only names, which have no small change
     "fault_location_m4k": {"fault_location_error", "fault_location_error_percent"},
     "gupfc": {"gupfc_drift"},
-    "gupfc_s2": set(),  # gupfc_distortion takes a frequency that the pulses fix
-    "gupfc_s5": {"gupfc_voltage_harmonic"},  # half a cycle has all levels
+    "gupfc_s2": set(),  # the frequency of gupfc_distortion is fixed by the pulses
+    "gupfc_s5": {"gupfc_voltage_harmonic"},  # half a cycle is enough, as it has all levels
     "induction_dtc_s2": {"dtc_converter_error"},
     "lsrm_fuzzy_1khz": {"lsrm_mean_force", "lsrm_force_ripple"},
     "pv_mppt_switched": {"pv_gmpp", "pv_efficiency"},
@@ -740,7 +744,8 @@ def test_another_module_has_its_own_maximum(light, celsius, module, wanted):
     assert most(light, celsius, module) == pytest.approx(wanted, abs=0.01)
     assert run.figures["gmpp"] == pytest.approx(wanted, abs=0.01)
     assert 50.0 < run.figures["tracking_efficiency"] <= 100.0
-    assert not next(r for r in run.results if r.name == "gmpp").judged  # 116.46 W is expected of another module
+    # The expected 116.46 W belong to another module.
+    assert not next(r for r in run.results if r.name == "gmpp").judged
 
 
 def test_figures_of_another_module_than_the_plants_are_refused():

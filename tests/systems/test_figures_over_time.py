@@ -273,7 +273,7 @@ def test_some_figures_over_time_equal_closed_forms():
     assert find("integral_absolute")(signals, "y") == pytest.approx(whole)
     assert find("mean_absolute")(signals, "y") == pytest.approx(whole / 5.0)
     assert find("mean")(signals, "y", start=0.5, end=2.5) == pytest.approx((0.5 - 1.5 + 2.0) / 2.0)
-    signals["r"] = (np.array([0.0, 2.0]), np.array([0.0, 2.0]))  # has a new value while y holds
+    signals["r"] = (np.array([0.0, 2.0]), np.array([0.0, 2.0]))  # the reference changes while y is constant
     assert find("integral_absolute")(signals, "y", reference="r") == pytest.approx(1.0 + 1.5 + 1.0 + 0.0 + 3.0)
     pulse = {
         "joint_states/translator/effort": (np.array([0.0, 1.0, 1.1, 3.0]), np.array([0.0, 10.0, 0.0, 0.0])),

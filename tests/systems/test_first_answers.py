@@ -17,10 +17,10 @@ from parameters import executables
 
 PACKAGES = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")
 TICKS = 3
-FINE = ("raw1m", "raw100k", "m100k", "pulse")  # of these a tick is tenths of a second; other tests have them
+FINE = ("raw1m", "raw100k", "m100k", "pulse")  # a tick of these takes tenths of a second, and other tests cover them
 SCALES = {"rad/s": 20.0, "V": 10.0, "A": 3.0, "N": 5.0, "W": 50.0, "W/m^2": 900.0, "degC": 40.0, "rpm": 500.0}
-OTHER = 0.3  # of other units
-LATER = {  # switches and choices that the first ticks do not show: they act at an end, on a fault, after a delay
+OTHER = 0.3  # scale for all other units
+LATER = {  # options that act only later: at an end, on a fault, or after a delay
     "aqm_controller": "anti_windup",
     "dc_axis_controller": "compensation aw",
     "delay_line": "profile",
@@ -97,7 +97,8 @@ def answered(block, values, draw):
 
 def blocks():
     for of, name, block in executables():
-        if of in PACKAGES and not issubclass(block, Solver) and name != "dc_motor_uno":  # simavr is not everywhere
+        # simavr is not installed everywhere.
+        if of in PACKAGES and not issubclass(block, Solver) and name != "dc_motor_uno":
             yield pytest.param(name, block, id=name)
 
 

@@ -104,9 +104,9 @@ def test_a_motor_in_an_fmu_equals_ours(fmus, version):
     expected = block_run(R=0.5, J=0.0005)
     stepped = trace(motor(fmus, version, values=values))
     assert distance(stepped, expected) < 1e-12
-    assert distance(expected, block_run()) > 1e-3  # the values count
+    assert distance(expected, block_run()) > 1e-3  # the values make a difference
     assert trace(motor(fmus, version, values=values, isolated=False)) == stepped
-    # theta, w and i of the fourth order with h |A| = 0.1 h/ms: an error of 1e-11; half the step, a 16th
+    # With h |A| = 0.1 h/ms, a method of fourth order has errors of 1e-11, and a 16th of that with half the step.
     coarse, fine = (
         trace(motor(fmus, version, values=values, method="model_exchange", steps=n, isolated=False)) for n in (1, 2)
     )
@@ -138,7 +138,7 @@ def test_a_ball_bounces_at_the_right_times(fmus, version):
         up = 0.7**n * 9.81 * first if n else 0.0
         assert height == pytest.approx((0.0 if n else 1.0) + up * since - 9.81 / 2 * since**2, abs=1e-12)
         assert v == pytest.approx(up - 9.81 * since, abs=1e-11)
-    # by model exchange an event waits for the end of its step, 0.1 ms here
+    # In model exchange, an event waits for the end of its step, here 0.1 ms.
     for (height, _, n), (exchanged, _, m) in zip(rows, counted(method="model_exchange", steps=100), strict=True):
         assert n == m
         assert exchanged == pytest.approx(height, abs=5e-3)
@@ -152,7 +152,7 @@ def test_a_state_is_saved_and_restored_and_a_reset_starts_again(fmus, version):
     remaining = trace(plant, 20)
     plant.load(kept)
     assert trace(plant, 20) == remaining
-    other = ByHand(FmuPlant(plant.block.p, "other"))  # in another process
+    other = ByHand(FmuPlant(plant.block.p, "other"))  # another process loads its state
     other.load(kept)
     assert trace(other, 20) == remaining
     plant.reset(3)
@@ -165,7 +165,7 @@ def test_steps_inside_a_period_and_the_time_of_the_fmu(fmus):
     whole, halves = (motor(fmus, period=0.2, steps=n, values=("fault = 5",)) for n in (1, 2))
     for plant, ticks in ((whole, 3), (halves, 2)):
         for _ in range(ticks):
-            plant.advance(10**18, motor_command=(1.0,))  # as the wall clock has it
+            plant.advance(10**18, motor_command=(1.0,))  # time is that of the wall clock
         with pytest.raises(RunError, match=rf"motor2.fmu at {0.2 * ticks:g} s of its time: fmi2DoStep: error"):
             plant.advance(10**18, motor_command=(1.0,))
 
@@ -225,7 +225,7 @@ def test_a_controller_answers_the_tick_with_its_inputs(fmus, version):
         ("JointState", ("1",)),
     ]
     rpm = 30.0 / math.pi
-    for n in range(3):  # error of 1 rpm
+    for n in range(3):  # error bound of 1 rpm
         (u,) = law.update(0, r=(2.0 / rpm,), y=(1.0,), on=(1.0,))["to_u"]
         assert u == pytest.approx(3.0 + 0.2 * n, rel=1e-14)
     assert law.update(0, r=(2.0 / rpm,), y=(1.0,), on=(0.0,))["to_u"] == (0.0,)
@@ -356,7 +356,7 @@ def test_processes_started_by_an_fmu_end_with_it(fmus, ending, tmp_path):
         far_end.recv()
 
     node = context.Process(target=runs)
-    with warnings.catch_warnings():  # the other threads belong to libraries that handle forks
+    with warnings.catch_warnings():  # libraries with other threads handle forks themselves
         warnings.simplefilter("ignore", DeprecationWarning)
         node.start()
     assert near_end.poll(PATIENCE)
@@ -479,7 +479,8 @@ def test_arrays_are_read_by_their_elements(fmus, isolated):
         return law.update(0, mix_in=(a, c))["to_mix_out"]
 
     assert commands(mix(), 2.0, 3.0) == (1.0 * 2.0 + 3.0 * 3.0, 1e3 * (4.0 * 2.0 + 6.0 * 3.0))
-    law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))  # no node sends u[2], so it keeps its initial value
+    # No node publishes u[2], so it keeps its initial value.
+    law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))
     assert commands(law, 2.0, 3.0) == (1 + 2.0 + 20.0 + 9.0, 1e3 * (1 + 8.0 + 50.0 + 180.0))
     law.change(permit(FmuLaw, law.block.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
     assert commands(law, 2.0, 3.0)[0] == 5 + 2.0 + 20.0 + 9.0
@@ -503,7 +504,8 @@ def test_an_fmu_beside_its_scenario_is_found_from_any_directory(page, tmp_path_f
     assert near_end["motor_plant"].params.fmu == str(page / "motor2.fmu")
     (page / "child.yaml").write_text("extends: plant\ntitle: child\nduration: 0.02\n")
     assert not simulate(str(page / "child.yaml"), duration=0.01).error
-    (other / "motor2.fmu").symlink_to(page / "motor3.fmu")  # of the current directory: as it is written
+    # A path in a scenario is first looked up in the current directory.
+    (other / "motor2.fmu").symlink_to(page / "motor3.fmu")
     near_end = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
     assert near_end["motor_plant"].params.unit.version == "3.0"
     (other / "motor2.fmu").unlink()
@@ -531,7 +533,7 @@ def test_real_time_gives_the_numbers_of_lockstep(page, name):
     expected, signals = Signals(in_process(wired)), Signals(run.recording, run.epoch)
     for label in ("motor/state/shaft/velocity", "motor/command/armature/effort"):
         a, b = expected[label].x, signals[label].x
-        n = min(len(a), len(b))  # whether the last tick is answered is a matter of luck
+        n = min(len(a), len(b))  # the last tick may or may not be answered
         assert n >= len(a) - 1
         assert a[:n].tolist() == b[:n].tolist()
 

@@ -34,7 +34,7 @@ def test_fmpy_simulates_the_numbers_of_the_plant_as_the_page_shows(exported, tmp
     """In a separate process: PythonFMU's library can be loaded only once into a Python process."""
     text = PAGE.read_text()
     command = "export fmu dc_motor_smc dc_motor_plant dc_motor_smc --out fmus"
-    assert f"scripts/softrig {command}" in text  # what `exported` has done
+    assert f"scripts/softrig {command}" in text  # the fixture `exported` has run this command
     (tmp_path / "fmus").symlink_to(exported)
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0] + f"print(*found[{SHAFT!r}].tolist())\n"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
@@ -108,7 +108,7 @@ def test_a_source_follows_the_clock_of_the_tool_in_several_instances_and_refuses
     done = subprocess.run([sys.executable, "-c", SEVERAL], cwd=tmp_path, capture_output=True, text=True, check=True)
     lines = [line for line in done.stdout.splitlines() if line[:1].isdigit() or line.startswith("fmi2")]
     assert lines == [
-        "0.0 0.0 0.0 100.0 100.0 100.0 100.0",  # the answer of a tick shows at the end of its step
+        "0.0 0.0 0.0 100.0 100.0 100.0 100.0",  # outputs change at the end of the step of their tick
         "0.0 0.0 0.0 100.0 100.0 100.0 100.0",
         "100.0 100.0 100.0",
         "0.0 0.0",  # another FMU in the same process
@@ -196,7 +196,7 @@ def test_unconnected_inputs_begin_as_in_the_scenario(tmp_path):
     inputs = tuple(f"y/{name.split('/')[1]}/position = {name.replace('/', '.')}" for name in names)
     law = ByHand(FmuLaw(name="law", inputs=inputs, **parameters))
     results = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]
-    assert results == commands  # no node sends the reference, so the controller uses its own set point
+    assert results == commands  # no node publishes the reference, so the controller uses its own set point
     assert ByHand(FmuLaw(name="law", **parameters)).update(0)["to_u"] == (commands[0],)
     start = {v.name: v.start for v in fmpy.read_model_description(parameters["fmu"]).modelVariables}
     assert float(start["reference.v_dc.position"]) == float(start["dc_link.voltage.position"]) == 400.0
@@ -244,7 +244,7 @@ def test_an_export_is_rewound_with_its_state(exported):
     remaining = go(20)
     plant.load(saved)
     assert go(20) == remaining
-    other = ByHand(FmuPlant(plant.block.p, "other"))  # in another process
+    other = ByHand(FmuPlant(plant.block.p, "other"))  # another process loads its state
     other.load(saved)
     other.advance(0, u=(5.0,))
     assert other.outputs(0) == remaining[0]

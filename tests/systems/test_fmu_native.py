@@ -108,7 +108,7 @@ def test_a_loop_of_two_models_and_a_second_instance_of_each_run(exported):
     for k in range(50):
         for which in (0, 1):
             if which and k % 2:
-                continue  # the second loop is left behind
+                continue  # the second loop runs half as often
             plant, law = plants[which], laws[which]
             for name in law.numbers.keys() & plant.numbers.keys() - {COMMAND, "time"}:
                 law.set(**{name: plant.get(name)})
@@ -166,7 +166,7 @@ def test_an_unsupported_operation_is_an_error_that_changes_nothing(exported):
     with pytest.raises(FMICallException):
         one.fmu.doStep(currentCommunicationPoint=7.0, communicationStepSize=one.period)
     with pytest.raises(FMICallException):
-        one.set(vmax=5.0)  # a parameter, after the initialisation
+        one.set(vmax=5.0)  # a parameter cannot be set after the initialisation
     with pytest.raises(FMICallException):
         one.set(**{SPEED: 1.0})
     assert one.bytes_of(one.kept()) == before

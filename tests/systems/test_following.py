@@ -22,11 +22,11 @@ from softrig_core.scenario.scenario import read_draft
 from softrig_core.verdict.figures import figures_of, follows
 
 NUMBER = re.compile(r"(?<![\w.$])(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
-TIMES = ("start", "end", "at", "stay", "window")  # arguments that are seconds
-LEVELS = ("final", "initial", "reference", "level")  # and in the signal's unit
+TIMES = ("start", "end", "at", "stay", "window")  # arguments that are times in s
+LEVELS = ("final", "initial", "reference", "level")  # arguments in the unit of the signal
 SMALL = {0.0, 1.0}
 
-# What has the size and the unit of a parameter and is another thing, and why.
+# Values that equal a parameter in size and unit but mean something else, with the reason.
 OTHERS = {
     ("arrival_trapezoid", "trapezoid_profile.t_d"): "the time of arrival as measured",
     ("arrival_trapezoid", "profile_generator.t_d"): "the time of arrival as measured",
@@ -71,7 +71,7 @@ def parameters(rig: Members) -> dict[float, list[tuple[str, str | None]]]:
         if (member.package, member.executable) == ("softrig_core", "figures"):
             continue
         units, values = {d.name: d.unit for d in declarations(type(member.params))}, flatten(member.params)
-        channels = values.get("units") or [None]  # of a source: each of its values in the unit of its channel
+        channels = values.get("units") or [None]  # for a source, each value has the unit of its channel
         for name, value in values.items():
             for k, number in enumerate(value if isinstance(value, list) else [value]):
                 if isinstance(number, int | float) and not isinstance(number, bool):
@@ -81,7 +81,7 @@ def parameters(rig: Members) -> dict[float, list[tuple[str, str | None]]]:
 
 
 UNITS = (1e3, 30.0 / math.pi, 180.0 / math.pi, 100.0, 2.0, math.sqrt(2.0), math.sqrt(3.0), 2.0 * math.pi)
-# What has the size of a number of a node in another unit, of a square or of a product, and is another thing.
+# Values that equal a parameter only in another unit, as a square or as a product, with the reason.
 COINCIDENCES = {
     "best_sigma": "which of the swept angles has the least distortion, as measured",
     "p2_settling_second": "measured; twice it is a reactance",
@@ -131,7 +131,7 @@ def repeated(name: str) -> list[tuple[str, float, str]]:
     ]
 
 
-# Whose value is zero on some machines, so that a share of it is no tolerance, and why.
+# Figures that are zero on some machines, so that a tolerance cannot be relative, with the reason.
 ZERO = {"torque_error_mean": "the torque of friction alone"}
 
 
@@ -174,7 +174,7 @@ def test_a_tracker_that_cannot_reach_the_maximum_misses_it():
     sun = [1000.0, 1000.0, 1000.0, 1000.0]
     result = judged("pv_mppt", {"mppt_optimizer.d_max": 0.5, "irradiance": sun})
     assert (result["finds"], result["tracking_efficiency"]) == (False, False)
-    assert result["power"] is None  # 169.8 W are above the 115.3 W of the paper's shade
+    assert result["power"] is None  # the bound of 115.3 W is that of the paper's shading; here the string has 169.8 W
 
 
 @pytest.mark.long
@@ -250,7 +250,7 @@ def test_an_unchanged_scenario_is_judged_by_all_its_requirements():
     assert run.published_for == ""
     assert all(r.judged for r in run.results if r.limited)
     same = simulate("dc_motor_smc_b1", overrides={"dc_motor_plant.R": 0.4, "dc_motor_smc.period": 0.01})
-    assert same.published_for == ""  # these are what it has
+    assert same.published_for == ""  # the overrides are the values that the scenario has
     assert all(c.holds is None for c in simulate("dc_motor_smc_b1", overrides={"dc_motor_plant.R": 0.41}).claims)
 
 
@@ -272,7 +272,7 @@ def tenths(name: str) -> Iterator[tuple[str, float | list[float]]]:
 def _tenth(value: float, factor: float) -> float:
     if isinstance(value, float) or not value:
         return value * factor
-    other = round(value * factor)  # for an integer the next one
+    other = round(value * factor)  # an integer changes by at least one
     return other if other != value else value + (1 if factor > 1.0 else -1)
 
 
@@ -285,7 +285,7 @@ def lost(name: str, key: str, value: float) -> list[str] | None:
     return [r.name for r in run.missed]
 
 
-# Which verdict that follows the machine changes with which parameter by a tenth, and why.
+# Verdicts that a change of a parameter by a tenth reverses, with the reason.
 CHANGES = {
     "dc_motor_fsfb": {
         "fsfb_controller.kp": ("no_overshoot", "a softer outer loop lets the integral overshoot by more than 0.3 %"),

@@ -19,7 +19,7 @@ SIGMA = math.radians(172.5)
 
 # power flow -----------------------------------------------------------------------------------------------------
 
-TABLE = {  # references: V2, V3, V4, V12, V34 (magnitude, degrees), P12, P34, S_sh, V_sh, angle of V1
+TABLE = {  # by references: V2, V3, V4, V12, V34 (magnitude and degrees), P12, P34, S_sh, V_sh, angle of V1
     (1.0, -0.3, 1.0, -0.4): (
         (0.99809, -11.154), (1.05551, -1.266), (0.98336, -10.980), (0.19636, -96.180), (0.18163, -120.052),
         -0.04174, -0.13018, (0.17192, -0.31516), (0.98457, 1.028), 0.497),
@@ -75,7 +75,8 @@ def test_power_flow_against_circuit_equations(pq):
     v1, a1 = cmath.polar(solution.bus["1"])
     (v_sh, a_sh), z = cmath.polar(solution.v_sh), NETWORK.z_sh
     turned = z.imag * math.cos(a1 - a_sh) + z.real * math.sin(a1 - a_sh)
-    q_sh = (v1 * v_sh * turned - z.imag * v1**2) / abs(z) ** 2  # (14) with the term in V_1^2 that it lacks
+    # Equation (14) with the term in V_1^2 that the paper omits.
+    q_sh = (v1 * v_sh * turned - z.imag * v1**2) / abs(z) ** 2
     assert q_sh == pytest.approx(solution.s_sh.imag, abs=1e-9)
 
 
@@ -101,7 +102,7 @@ def test_the_line_without_the_device():
     assert half.tau == pytest.approx(689.79e-6, abs=5e-9)
     assert half.z * z == pytest.approx(270.72, abs=5e-3)
     assert half.resistance * z == pytest.approx(5.092, abs=5e-4)
-    # without series voltage the transformers are all that is left of the device; take them out too
+    # Without series voltage only the transformers are left of the device; remove them as well.
     whole = NetworkParams(r_se=0.0, x_se=1e-9)
     network = Network(whole)
     u = np.linalg.solve(network.admittance, network.injection)
@@ -142,7 +143,8 @@ def reachable(rng):
         power = (u[1] * np.conj(i_sh) + v12 * np.conj(i12) + v34 * np.conj(i34)).real
         return power, u, u[2] * np.conj(i12), u[4] * np.conj(i34)
 
-    right, up, left = (state(angle)[0] for angle in (0.0, 0.5 * math.pi, math.pi))  # mean + a cos + b sin
+    # The power is mean + a cos + b sin of the angle.
+    right, up, left = (state(angle)[0] for angle in (0.0, 0.5 * math.pi, math.pi))
     mean, a = 0.5 * (right + left), 0.5 * (right - left)
     b = up - mean
     if abs(mean) > math.hypot(a, b):
@@ -174,8 +176,8 @@ def test_no_reachable_point_is_missed(draws, seed):
             assert used <= size + 1e-8
             if used > size - 1e-8:
                 assert np.abs(np.array(list(solution.bus.values())) - u).max() < 1e-7
-            flat += solution.iterations > 4  # from the closed form it takes none or one
-    assert 0.8 * draws < flat < draws  # what the flat start finds is its own, to the last bit
+            flat += solution.iterations > 4  # from the closed form, Newton's method needs at most one step
+    assert 0.8 * draws < flat < draws  # most draws are solved from the flat start, with its own last digits
 
 
 def test_points_that_a_flat_start_misses_are_found():
@@ -239,7 +241,8 @@ def samples(theta, sigma):
     beta = 0.5 * (np.pi - sigma)
     for phi in np.radians([7.5, -7.5, -22.5, -37.5]):
         for phase in range(3):
-            x = theta - phi - phase * 2.0 * np.pi / 3.0 + 0.5 * np.pi  # the fundamental of a phase is a sine
+            # A phase is high while its fundamental is positive.
+            x = theta - phi - phase * 2.0 * np.pi / 3.0 + 0.5 * np.pi
             q1 = np.mod(x - beta, 2.0 * np.pi) < sigma
             q4 = np.mod(x - beta - np.pi, 2.0 * np.pi) < sigma
             weight = 2.0 / 3.0 * 0.5 * np.exp(1j * phase * 2.0 * np.pi / 3.0)

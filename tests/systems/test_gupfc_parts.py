@@ -143,7 +143,7 @@ def test_the_equations_of_the_power_flow_by_currents_and_their_derivatives_by_di
     i12, i34 = (u[1] + v12 - u[2]) / NETWORK.z_se, (u[3] + v34 - u[4]) / NETWORK.z_se
     norton = np.zeros(6, dtype=complex)
     norton[[1, 2, 3, 4]] = -v12 / NETWORK.z_se, v12 / NETWORK.z_se, -v34 / NETWORK.z_se, v34 / NETWORK.z_se
-    into = u * (network.admittance @ u - network.injection - norton).conj()  # less what the converters inject
+    into = u * (network.admittance @ u - network.injection - norton).conj()  # minus the injection of the converters
     into[1] -= s_sh
     flows = u[2] * i12.conjugate(), u[4] * i34.conjugate()
     lost = NETWORK.r_sh * abs(s_sh / u[1]) ** 2 if loss else 0.0
@@ -227,7 +227,7 @@ def test_the_voltage_at_the_end_of_a_line_by_its_quadratic():
             for v in result:
                 assert v * (a * v + k).conjugate() == pytest.approx(0.1 * s)
         else:
-            assert len(result) == 1  # the point between
+            assert len(result) == 1  # both solutions meet in this point
             assert result[0] == pytest.approx((((0.1 * s).conjugate() - a * half / abs(a) ** 2) / k).conjugate())
 
 
@@ -242,11 +242,11 @@ def test_the_far_side_with_a_share_of_its_coupling(share):
     assert result[:2] == (pytest.approx(v2), pytest.approx(v4))
     assert result[2] <= 1e-11
     for far in ((-0.24 + 0.81j, 0.32 + 0.53j), (0.4 - 0.47j, 2.19 + 2.94j), (-1.9 + 2.3j, 2.0 + 1.2j)):
-        again = _newton(a, b, share, k, s1, s2, v2 + far[0], v4 + far[1])  # not by whole steps
+        again = _newton(a, b, share, k, s1, s2, v2 + far[0], v4 + far[1])  # full steps would diverge from here
         assert again[2] <= 1e-11
         assert again[0] * (own * again[0] + other * again[1] + k).conjugate() == pytest.approx(s1)
         assert again[1] * (own * again[1] + other * again[0] + k).conjugate() == pytest.approx(s2)
-    stuck = _newton(a, b, share, k, 50.0 + 0j, 50.0 + 0j, v2, v4)  # no such power
+    stuck = _newton(a, b, share, k, 50.0 + 0j, 50.0 + 0j, v2, v4)  # no solution exists for this power
     assert stuck[2] > 1e-3
 
 
@@ -331,7 +331,7 @@ def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
     rows = steps.Rows(*(np.zeros((n + 1, k), dtype=complex) for k in (6, 5, 3)))
     begin = u.copy(), i.copy()
     power = steps.advance.py_func(c, lines, state, 7, turning, pulse, tripped, rows)
-    branches = [  # from, to (-1: source), R, L
+    branches = [  # from node, to node (-1 is a source), R, L
         (-1, 0, *NETWORK.source_impedance),
         (-1, 5, *NETWORK.source_impedance),
         (1, 2, NETWORK.r_se, NETWORK.x_se / NETWORK.omega),
@@ -356,11 +356,12 @@ def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
         now, before = (cmath.exp(1j * NETWORK.omega * h * m) for m in (step, step - 1))
         e = NETWORK.sources
         forced = [0.5 * e[0] * (now + before), 0.5 * e[1] * (now + before), v[1], v[2], v[0]]
-        A, b = np.zeros((11, 11), dtype=complex), np.zeros(11, dtype=complex)  # six voltages, five currents
+        # Unknowns: six voltages and five currents.
+        A, b = np.zeros((11, 11), dtype=complex), np.zeros(11, dtype=complex)
         for m, ((start, end, r, l), drive) in enumerate(zip(branches, forced, strict=True)):  # noqa: E741
             row = 6 + m
             if m == 4 and tripped:
-                A[row, row] = 1.0  # disconnected
+                A[row, row] = 1.0  # this branch is disconnected
                 continue
             A[row, row] = l / h + 0.5 * r  # L (i - i0)/h + R (i + i0)/2 = drive + (u_from - u_to + before)/2
             b[row] = (l / h - 0.5 * r) * i[m] + drive
@@ -394,7 +395,7 @@ def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
     assert state.ring == pytest.approx(ring)
 
 
-ENDS = ((0, 1), (0, 3), (2, 5), (4, 5))  # buses of the half lines
+ENDS = ((0, 1), (0, 3), (2, 5), (4, 5))  # buses at the ends of the half lines
 
 
 def test_samples_are_weighed_by_the_trapezoidal_rule_and_rotated_to_the_end(monkeypatch):
@@ -468,7 +469,7 @@ def test_the_start_continues_periodically(waveform):
         if waveform == "average":
             wanted = start.bus[-1] * cmath.exp(1j * p.network.omega * p.step * k)
         else:
-            wanted = start.bus[k]  # the past is a cycle
+            wanted = start.bus[k]  # the stored past is one cycle
         assert rows.bus[k] == pytest.approx(wanted, abs=2e-6)
     assert np.abs(start.power.sum()) < 2e-6
     assert abs(state.v_dc[0] - point.v_dc) < 5e-3
@@ -522,7 +523,7 @@ def test_the_series_controller_in_complex_numbers(kind, circuit):
     theta = cmath.phase(u0)
     integral = v0 * cmath.exp(-1j * theta)
     asked = start + 0.2 - 0.1j
-    current = i0  # the current is constant in the rotating frame, with a filter or without
+    current = i0  # in the rotating frame the current is constant, so a filter does not matter
     error = turn * ((asked / abs(u0)).conjugate() - current * cmath.exp(-1j * theta))
     for k in range(1, 6):
         integral += 20.0 * PERIOD * error
@@ -548,7 +549,8 @@ def test_the_limit_of_a_series_voltage_in_words():
     low = ByHand(SeriesController(law="printed", kp=0.01, ki=0.0))
     before = low.x
     low.update(0, reference=(0.02, 0.0), **measured(low, 0, 0.05 * cmath.rect(1.0, cmath.phase(point.u2)), 0j))
-    assert low.x.error == pytest.approx((0.02 / 0.1) + 0j)  # divided by a tenth of a pu, no less
+    # The error is divided by the voltage, but at least by 0.1 pu.
+    assert low.x.error == pytest.approx((0.02 / 0.1) + 0j)
     assert before.error == 0j
 
 
@@ -561,7 +563,7 @@ def test_changed_gains_cause_no_jump(kind, jump):
     assert after.integral == pytest.approx(x.integral + jump * (1.0 - 2.0j))
     assert after._replace(integral=x.integral) == x
     none = SeriesController(law=kind, kp=0.6, ki=0.0)
-    assert none.go_on(x, old.p) == x  # without an integrator there is no state to adapt
+    assert none.go_on(x, old.p) == x  # without an integrator, the state is unchanged
 
 
 def test_the_shunt_controller_is_a_cascade_of_two_regulators():
@@ -571,7 +573,7 @@ def test_the_shunt_controller_is_a_cascade_of_two_regulators():
     i_q = -(point.i_sh * cmath.exp(-1j * cmath.phase(point.u1))).imag
     result = law.update(0, reference=None, **measured(law, 0, point.u1, point.i_sh))["shunt"]
     assert result == pytest.approx((NETWORK.shunt_sigma, cmath.phase(point.v_sh), NETWORK.omega), abs=2e-6)
-    outer, inner, e_v = i_q, -alpha, 0.02  # what both have integrated, and the error of the voltage
+    outer, inner, e_v = i_q, -alpha, 0.02  # states of both integrators, and the error of the voltage
     for k in range(1, 5):
         asked = 3.0 * e_v + outer
         outer += 40.0 * PERIOD * e_v
@@ -679,7 +681,7 @@ def test_the_link_trips_permanently_beyond_its_limits(v_dc, trips):
     still = {
         name: (0.0 if k else NETWORK.shunt_sigma, 0.0, W) for k, name in enumerate(("shunt", "series_1", "series_2"))
     }
-    off = {**still, "shunt": (0.0, 0.0, W)}  # no power leaves the DC link
+    off = {**still, "shunt": (0.0, 0.0, W)}  # no power is drawn from the DC link
     after = plant.advance(x._replace(network=network), 0, **off)
     assert after.tripped == trips
     assert after.steps == 16
@@ -825,7 +827,7 @@ def test_figures_of_artificial_runs():
     assert figures.power_balance(run, start=0.0, end=1.0) == 2.5
     waves = {"x": signal(1.0, 2.0, 3.0, 2.0, 2.0, 5.0, 1.0, 3.0)}
     assert figures.drift(waves, "x", frequency=0.5, measure="repeat") == 3.0
-    assert figures.drift(waves, "x", frequency=0.5) == 2.0  # means of two: 1.5 2.5 2.5 2 3.5 3 2
+    assert figures.drift(waves, "x", frequency=0.5) == 2.0  # means of two samples: 1.5 2.5 2.5 2 3.5 3 2
     with pytest.raises(ValueError, match=r"^x: 8 samples in the window, two cycles are 10$"):
         figures.drift(waves, "x", frequency=0.2)
     assert figures.drift(waves, "x", frequency=0.25) == pytest.approx(1.0)
@@ -845,7 +847,7 @@ def test_figures_of_artificial_runs():
 
 
 def test_the_distortion_of_a_trace_and_the_harmonics_of_the_pulses():
-    steps_of, periods, cycle = 4, 30, 10.0  # samples a message, messages, s
+    steps_of, periods, cycle = 4, 30, 10.0  # samples in a message, messages, and s
     x = 2.0 * math.pi / cycle * (np.arange(periods * steps_of) + 1.0) / steps_of
     wave = (2.0 * np.exp(1j * x) + 0.3 * np.exp(-5j * x) + 0.4 * np.exp(7j * x)).reshape(periods, steps_of)
     trace = {}

@@ -32,7 +32,7 @@ from softrig_power.gupfc.shunt import ShuntController
 
 NETWORK = NetworkParams()
 PERIOD = 1.0 / 2880.0
-TURN = NETWORK.omega * PERIOD  # of a vector in a control period
+TURN = NETWORK.omega * PERIOD  # rotation of a vector during a control period
 STATUS = ("p1", "q1", "p2", "q2", "v1", "v_dc", "p_sh", "p12", "p34", "v12", "v34")
 
 
@@ -73,7 +73,7 @@ def test_every_scenario_meets_its_figures_and_verdicts(name):
         assert claim.holds(claim.agrees(value, others)), key
 
 
-TRACE = {  # t: V1, v_dc, P1, P2
+TRACE = {  # by time: V1, v_dc, P1, P2
     0.51: (0.9961, 0.9793, 1.0656, 0.9384),
     0.52: (0.9951, 0.9791, 1.0873, 0.9114),
     0.55: (1.0009, 0.9867, 1.0991, 0.9023),
@@ -118,7 +118,7 @@ def test_start_in_steady_state(name, tolerance):
     for name in ("u1", "u2", "u4", "i_sh", "i12", "i34"):
         z = (result.signals[f"{name}/x"].x + 1j * result.signals[f"{name}/y"].x)[: before + 1]
         assert np.abs(z[48:] - z[:-48]).max() < tolerance, name
-    assert status(result, "v_dc")[:48].mean() == pytest.approx(0.98457, abs=2e-4)  # |V_sh|, not 1
+    assert status(result, "v_dc")[:48].mean() == pytest.approx(0.98457, abs=2e-4)  # the mean is |V_sh|, not 1
 
 
 def test_spectrum_of_the_simulated_shunt_voltage():
@@ -128,13 +128,13 @@ def test_spectrum_of_the_simulated_shunt_voltage():
     first = abs(spectrum[1])
     sigma = NETWORK.shunt_sigma
     for order in (-23, 25, -47, 49, -95, 97):
-        mean = np.sinc(order / wave.size)  # of a step
+        mean = np.sinc(order / wave.size)  # mean over a step
         expected = abs(math.sin(0.5 * order * sigma) / order) / math.sin(0.5 * sigma) * mean
         assert abs(spectrum[order]) / first == pytest.approx(expected, abs=6e-4)
     assert 100.0 * math.sqrt((np.abs(spectrum) ** 2).sum() / first**2 - 1.0) < distortion(sigma)
 
 
-@pytest.mark.long  # golden bags hold the plant's bytes daily
+@pytest.mark.long  # golden bags check the bytes of the plant daily
 def test_halved_steps_agree():
     """43.4 and 10.85 us agree with 21.7 us to 5e-5 and 3e-5 pu in P, in V better, also in the transient."""
     results = {}
@@ -219,7 +219,7 @@ def test_line_against_a_pi_ladder(solver):
         operating_point(DeviceParams(initial=References(p1=p1, q1=-0.3, p2=p2, q2=-0.4)))
         for p1, p2 in ((1.0, 1.0), (1.2, 1.2))
     )
-    # the plant's own steps, with a DC link that stays where it is
+    # The steps of the plant, with a constant DC voltage.
     prepared, lines = steps.circuit(NETWORK, params.step)
     prepared = prepared._replace(dc_time=1e12)
     state = steps.State(*(x.copy() for x in first.start.state))
@@ -235,7 +235,7 @@ def test_line_against_a_pi_ladder(solver):
     u2, u1, i12 = rows[0][:, steps.BUS2], np.abs(rows[0][:, steps.BUS1]), rows[1][:, steps.I12]
     p1 = (u2 * i12.conj()).real
     assert np.ptp(p1) > 0.5
-    # the ladder, from its own steady state
+    # The ladder, started in its own steady state.
     ladder = Ladder()
     x0 = spsolve(ladder.A.tocsc(), -ladder.forcing(first.v_sh, first.v12, first.v34))
     b = ladder.forcing(first.v_sh, *series)
@@ -331,7 +331,7 @@ def test_power_flow_against_pandapower():
     assert converged
     assert iterations == 0
     assert pytest.approx(start, abs=1e-9) == V
-    # from a flat start constant injections lead to the other root
+    # From a flat start, constant injections lead to the other solution.
     flat = np.concatenate([np.ones(6, dtype=complex), start[6:]])
     V, converged, *_ = newtonpf(Y, S, flat, slack, np.array([], dtype=int), pq, case, options)
     assert converged
@@ -529,7 +529,7 @@ def test_a_plain_node_replaces_a_series_controller(tmp_path):
     parts = {"u": point.u4, "i": point.i34, "v": point.v34}
     start = {"theta": theta} | {k: [(x := z * cmath.rect(1.0, -theta)).real, x.imag] for k, z in parts.items()}
     quick = {
-        "references_1.period": 0.05,  # more than one tick in 0.1 s
+        "references_1.period": 0.05,  # so that more than one tick falls into 0.1 s
         "references_2.period": 0.05,
         "references_2.times": [0.0, 0.05],
         "references_2.values": [1.0, -0.4, 0.9, -0.4],
@@ -546,7 +546,7 @@ def test_a_plain_node_replaces_a_series_controller(tmp_path):
     with free_domain() as domain:
 
         def announce(text):
-            if "series_2/command" not in text:  # a later text reports that the node has joined
+            if "series_2/command" not in text:  # a later announcement reports that the node has joined
                 return
             variables = environment(domain, tmp_path)
             outside.append(subprocess.Popen([sys.executable, str(script), json.dumps(start)], env=variables))

@@ -126,9 +126,9 @@ def test_the_queue_of_another_network_rests_where_misra_s_equations_do(flows, C,
     nodes = {"tcp_fluid": network, "aqm_controller": {**network, "set_point": queue},
              "queue_reference": {"values": [queue]}}  # fmt: skip
     signals = run("tcp_aqm_smc", nodes).signals
-    window = (tau + queue / C) * C / flows  # W = R C/N, p = 2/W^2
+    window = (tau + queue / C) * C / flows  # steady state: W = R C/N and p = 2/W^2
     assert signals["network/state/window/position"].x[-1] == pytest.approx(window, rel=1e-5)
-    # the law changes between two values at each period
+    # At each period the law changes between two values.
     assert np.mean(signals["aqm/command/drop_probability/effort"].x[-2000:]) == pytest.approx(2.0 / window**2, rel=1e-6)
 
 
@@ -139,7 +139,7 @@ def test_the_queue_of_another_network_rests_where_misra_s_equations_do(flows, C,
         (98.0, 60.0, 1e-3, 0.05, 4.7e-3, 10.0, 250.0),
         (170.0, 50.0, 2e-3, 0.1, 3e-3, 20.0, 400.0),
         (325.0, 60.0, 8e-3, 0.3, 1.5e-3, 80.0, 650.0),
-        # At 1100 V the carrier would clip the phase voltages, which need at most v/2, and the currents be no sines.
+        # At 1100 V the carrier would clip the phase voltages, which need up to v/2, and distort the currents.
         (563.0, 50.0, 6e-3, 0.2, 1.1e-3, 90.0, 1200.0),
         (49.0, 50.0, 5e-4, 0.02, 1e-2, 5.0, 120.0),
         (281.0, 60.0, 3e-3, 0.1, 4e-3, 30.0, 600.0),
@@ -159,7 +159,8 @@ def test_another_rectifier_rests_at_its_balance_of_power(V, f, L, R, C, R_L, v):
     assert drop == pytest.approx(i * math.hypot(R, 2.0 * math.pi * f * L), rel=1e-4)
 
 
-# ten of each of these, drawn by their number ------------------------------------------------------------------------
+# ten draws of each of these, by number
+# -------------------------------------------------------------------------------
 
 
 def distributed(r, l, c, length, omega):  # noqa: E741
@@ -192,7 +193,7 @@ def test_a_random_line_carries_the_current_of_its_phasors_and_its_waves_arrive_i
     differs = faulted.run(4000) != sound.run(4000)
     slowness = min(np.sqrt(line["l1"] * line["c1"]), np.sqrt(line["l0"] * line["c0"]))  # s/km, of the faster mode
     for channels, length in ((slice(0, 6), x), (slice(6, 12), line["length"] - x)):
-        arrival = closing + length * slowness * 1e6  # in steps; the cubic reads two samples ahead
+        arrival = closing + length * slowness * 1e6  # in steps; the cubic interpolation uses two samples ahead
         assert arrival - 3.0 <= np.flatnonzero(differs[:, channels].any(axis=1))[0] <= arrival + 1.0
 
 
@@ -207,14 +208,15 @@ def test_a_random_string_has_the_maximum_of_the_diode_equation(number):
     suns, warm = tuple(chance.uniform(100.0, 1200.0, n).tolist()), tuple(chance.uniform(-10.0, 75.0, n).tolist())
     module = ModuleParams(N_s=cells, V_oc=V_oc, I_sc=I_sc, a=a, R_s=R_s, R_p=R_p, K_I=K_I, K_V=K_V, V_f=V_f)
 
-    def voltage(i):  # Lambert's function solves I = I_ph - I_0 (exp(U/v) - 1) - U/R_p for U
+    def voltage(i):  # solves I = I_ph - I_0 (exp(U/v) - 1) - U/R_p for U by Lambert's function
         total = 0.0
         for G, T in zip(suns, warm, strict=True):
             v = a * cells * 1.380649e-23 * (T + 273.15) / 1.602176634e-19
             short = I_sc + K_I * (T - 25.0)
             I_0 = short / np.expm1((V_oc + K_V * (T - 25.0)) / v)
             rest = short * G / 1e3 + I_0 - i
-            # U = R_p rest - v W(z), ln z = ln(R_p I_0/v) + R_p rest/v; W from w + ln w = ln z where z overflows
+            # U = R_p rest - v W(z) with ln z = ln(R_p I_0/v) + R_p rest/v. Where z overflows, W solves w + ln w = ln
+            # z.
             log = np.log(R_p * I_0 / v) + R_p * rest / v
             if log < 600.0:
                 w = float(lambertw(np.exp(log)).real)
@@ -273,7 +275,7 @@ def test_the_flow_of_a_random_double_line_satisfies_its_equations(number):
     Y[5, 5] += source
     E = np.zeros(6, dtype=complex)
     E[0], E[5] = source * np.exp(1j * other), source * network.source1_voltage * np.exp(-1j * at)
-    through = Y.copy()  # both circuits closed without converters: buses 1, 2 and 3, 4 are one
+    through = Y.copy()  # with both circuits closed and no converters, buses 1 and 2 are one, and so are 3 and 4
     joined = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     u = joined @ np.linalg.solve(joined.T @ through @ joined, joined.T @ E)
     natural = u[2] * np.conj(-(Y @ u)[2])
@@ -288,7 +290,7 @@ def test_the_flow_of_a_random_double_line_satisfies_its_equations(number):
     v12, v34 = u[2] - u[1] + network.z_se * i12, u[4] - u[3] + network.z_se * i34
     v_sh = u[1] + network.z_sh * i_sh
     assert [flow.v12, flow.v34, flow.v_sh] == pytest.approx([v12, v34, v_sh], abs=1e-7)
-    shunt = v_sh if number % 2 else u[1]  # the paper's balance is at bus 1
+    shunt = v_sh if number % 2 else u[1]  # the paper balances the power at bus 1
     delivered = (v12 * np.conj(i12) + v34 * np.conj(i34) + shunt * np.conj(i_sh)).real
     assert delivered == pytest.approx(0.0, abs=1e-7)
 
@@ -315,7 +317,7 @@ def test_a_random_arm_of_two_links_moves_by_lagrange_s_equations(number):
         TOOL.format(l2), "</robot>",
     ))  # fmt: skip
     arm = compile_arm(urdf, "tool", ("one", "two"), 1.0)
-    h = (m2 * d2 + load * l2) * l1  # the payload is one more mass of the second link
+    h = (m2 * d2 + load * l2) * l1  # the payload adds a mass to the second link
     second = I2 + m2 * d2**2 + load * l2**2
     for q, v, a in chance.uniform(-3.0, 3.0, (5, 3, 2)):
         c, s = math.cos(q[1]), math.sin(q[1])

@@ -38,7 +38,7 @@ from softrig_drives.induction_dtc.switching import (
 from softrig_nodes.processes.placement import Placement
 
 T_S = 5e-5
-Q = 1 / 32  # A
+Q = 1 / 32  # A, resolution of a current
 R_S = 3.7
 
 
@@ -46,7 +46,8 @@ def recorded(scenario):
     return Signals(in_process(rig_of(scenario), scenario.seed))
 
 
-# runs of 10 s, and those that differ from others in a number; ideal, truncating and dithered converters are daily
+# Runs of 10 s, and those that differ from others only in a number. Ideal, truncating and dithered converters run
+# daily.
 LATER = ("e1", "e2", "e2_3_lsb", "s1", "s4", "s5", "s6_offset", "s7", "s8_half", "s8_matched", "s9_minus", "s9_plus",
          "s9_plus_2", "ts_25", "4kw")  # fmt: skip
 
@@ -85,7 +86,7 @@ def random_walk(variance, t=2.0):
     return R_S * Q * math.sqrt(T_S * t * (1 + 5 / 3) * variance)
 
 
-@pytest.mark.long  # 70 runs; the drift of one run of each is among the expectations of its scenario
+@pytest.mark.long  # 70 runs; daily, the scenario expects the drift of a single one
 def test_quantisation_is_a_random_walk_and_dither_doubles_it():
     loads = np.linspace(6.0, 12.0, 30)
     dithered = end_errors("induction_dtc", [(seed, 10.0) for seed in range(30)])
@@ -101,7 +102,7 @@ def test_quantisation_is_a_random_walk_and_dither_doubles_it():
     assert dithered.max() <= 4.5e-3
 
 
-@pytest.mark.long  # their entries are held against the field's rules below
+@pytest.mark.long  # a test below checks the entries against the rules of the field
 @pytest.mark.parametrize("size", [1.0, 1e-200, 1e200, 1e-320])
 def test_the_largest_magnitude_is_that_of_all_phases(size):
     rng = np.random.default_rng(1)
@@ -139,7 +140,7 @@ def independent(x, u, load, h, m):
     return solve_ivp(derivative, (0.0, h), x, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
 
 
-@pytest.mark.long  # a golden bag holds the plant's bytes daily
+@pytest.mark.long  # a golden bag checks the bytes of the plant daily
 def test_recorded_switching_agrees_with_finer_steps_and_an_independent_solver():
     scenario = load_scenario("induction_dtc_s0")
     scenario = scenario.model_copy(update={"duration": 0.75})
@@ -301,7 +302,7 @@ def test_switch_that_is_neither_0_nor_1_is_held_once_then_a_fault():
     assert not plant.x.fault
     advance(bad, VECTORS[0])
     assert plant.reports["switch_fault"][0] == Level.ERROR
-    advance(good, VECTORS[0])  # latched
+    advance(good, VECTORS[0])  # a fault stays until the reset
     plant.reset(0)
     assert not plant.x.fault
     assert plant.reports == {}
@@ -319,7 +320,7 @@ def test_overcurrent_trips_permanently():
     assert plant.reports["overcurrent"][2] == 1
 
 
-@pytest.mark.long  # daily in a container
+@pytest.mark.long  # runs in a container daily
 @pytest.mark.processes
 def test_the_same_bits_over_topics(tmp_path):
     scenario = load_scenario("induction_dtc_short")

@@ -112,7 +112,7 @@ def test_steps_reproduce_the_sinusoidal_steady_state(kind, most):
         np.testing.assert_allclose(result, accept(currents[:, :, None] * turn), atol=1e-13)
         counts.add(count)
         k += count
-    # a block ends where the first wave of a section arrives, and where the ring begins anew
+    # A block ends where the first wave of a section arrives, and where the ring buffer wraps.
     assert counts == {1} if most == 1 else len(counts) > 1 and max(counts) == int(prepared.newest.min())
 
 
@@ -153,7 +153,8 @@ def test_branch_in_the_steady_state():
 def test_modal_transforms():
     np.testing.assert_allclose(CLARKE @ CLARKE.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(KARRENBAUER @ KARRENBAUER_INVERSE, np.eye(3), atol=1e-15)
-    zero, positive = 10.0 + 2.0j, 3.0 + 1.0j  # of a transposed element: self (z0 + 2 z1)/3, mutual (z0 - z1)/3
+    # Of a transposed element: self impedance (z0 + 2 z1)/3, mutual impedance (z0 - z1)/3.
+    zero, positive = 10.0 + 2.0j, 3.0 + 1.0j
     transposed = np.full((3, 3), (zero - positive) / 3.0) + positive * np.eye(3)
     for modal in (
         CLARKE @ transposed @ CLARKE.T,
@@ -163,7 +164,8 @@ def test_modal_transforms():
     np.testing.assert_allclose(AERIAL @ np.ones(3), 0.0)
 
 
-# each number by another hand -----------------------------------------------------------------------------------------
+# independent re-implementations
+# --------------------------------------------------------------------------------------
 
 
 PLAIN = Section(0.04, 1.1e-3, 1.2e-8, 90.0)

@@ -16,7 +16,7 @@ from softrig_core.block.change import Change, changeable, permit
 from softrig_core.block.params import flatten
 from softrig_core.wire.parameter_event import recorded
 
-CASES = {  # scenario: duration, time of the change; what is there to change must have begun
+CASES = {  # by scenario: duration, and time of the change, at which the changed nodes must be active
     "dc_motor_smc_b5_pid": (0.3, 0.1),
     "dc_motor_smc_stretch_b_delta2": (0.3, 0.1),
     "dc_motor_smc_faults": (0.3, 0.1),
@@ -35,7 +35,7 @@ CASES = {  # scenario: duration, time of the change; what is there to change mus
     "tcp_aqm_smc_pi": (0.1, 0.05),
     "optimal_control_mvim_a4": (5.0, 3.0),
 }
-MORE = {  # with blocks that those above have as well, or seconds of work each
+MORE = {  # the same blocks as above, or seconds of work each
     "dc_motor_smc_c1": (0.3, 0.1),
     "dc_motor_smc_b2": (0.3, 0.1),
     "rectifier_mpc_decoupled": (0.03, 0.02),
@@ -141,7 +141,7 @@ def test_every_live_parameter_may_change_in_some_rig():
             known = flatten(member.params)  # an empty list means that the field does not exist
             messages |= {f"{key}.{p}" for p in changeable(member.block_class.Params) if known[p] != []}
             allowed |= {f"{key}.{p}" for p in variations(member)}
-    # which needs a solver: softrig_power's, of the same class, has one in a scenario
+    # This block needs a solver; softrig_power's block of the same class has one in a scenario.
     assert messages - allowed == {"softrig_control/gpc_controller.du_max"}
 
 
@@ -186,7 +186,7 @@ def test_many_simultaneous_changes_give_the_same_bytes_in_every_placement(name):
         assert not differences(changed_run, run.recording), groups
 
 
-BUMPLESS = [  # scenario, member, what changes, overrides
+BUMPLESS = [  # scenario, node, change, overrides
     ("dc_motor_smc_b5_pid", "dc_motor_pid", {"ki": 40.0}, {"dc_motor_pid.anti_windup": False}),
     ("dc_motor_fsfb_s1", "fsfb_controller", {"ki": 60.0}, {}),
     (

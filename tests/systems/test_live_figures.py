@@ -136,7 +136,7 @@ def test_figures_are_those_of_the_newest_step_of_their_reference():
     assert run.figures["peak_to_peak"] == late.max() - late.min()
     assert 0.0 < run.figures["rise_time"] < up.figures["rise_time"] * 2.0
     assert run.figures["overshoot"] < 5.0
-    # The node of figures is left out of a run that is recorded, and measured when it is asked.
+    # A recorded run leaves out the node of figures, and computes its figures on request.
     assert isinstance(run.blocks["dc_motor_metrics"], Measured)
     assert run.blocks["dc_motor_metrics"].status()["rise_time"] == (run.figures["rise_time"], "s")
 
@@ -157,7 +157,7 @@ def rows(kept):
     return list(zip(stamps.tolist(), zip(*columns, strict=True), strict=True))
 
 
-WIDE = 100  # numbers of a message: four blocks hold what comes
+WIDE = 100  # numbers in a message, so that the samples fill four blocks
 SOME = (0, 57, WIDE - 1)
 
 
@@ -194,7 +194,7 @@ def test_stored_messages_take_the_memory_of_their_numbers_in_the_window():
     room = sum(map(len, kept.blocks)) + len(kept.filling) + len(kept.newest)
     assert 6_000 * 24 <= room < 6_000 * 24 + 2 * MANY
     assert kept.with_messages((), 40_000, 6_000).stamps(2).size == 0
-    # samples that have left the window do not return
+    # Samples that have left the window do not return.
     longer = kept.with_message(row, 20_000, (1.0, 2.0), 20_000, 15_000)
     assert longer.stamps(2)[0] == 13_999
 
@@ -210,7 +210,7 @@ def test_a_node_started_alone_reads_only_the_topics_of_a_scenario():
 
 def test_it_follows_a_parameter_that_its_figures_refer_to():
     rig = rig_of("dc_motor_smc_stretch_b")
-    # the values that it receives are not stored anywhere else
+    # The values are not stored in the scenario, only received.
     assert rig.scenario.nodes["dc_motor_metrics"].parameters == {}
     node = next(
         m for m in rig_of(rig, overrides={"dc_motor_plant.load_times": [0.0, 2.5]}).members if m.name[-7:] == "metrics"

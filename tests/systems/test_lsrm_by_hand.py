@@ -161,7 +161,7 @@ def test_a_profile_accelerates_cruises_and_brakes_as_specified(kind, v_d):
         t = k * dt
         if kind == "step":
             speed = v_d if t <= 1.0 + 1e-12 else 0.0
-        if k % 250 == 125:  # between the edges
+        if k % 250 == 125:  # between two steps of the profile
             result = p.at(t)
             assert result[0] == pytest.approx(way, abs=1e-4)
             assert result[1] == pytest.approx(speed, abs=1e-4)
@@ -205,7 +205,7 @@ def test_the_range_of_a_speed_is_that_of_its_samples():
         ({"v_d": 0.5, "t_d": 0.4, "F_max": 17.29}, ""),
         ({"v_d": -0.5, "t_d": 0.4, "F_max": 17.2}, "reference infeasible: it needs 17.3 N, the motor gives 17.2 N"),
         ({"t_d": 9.0, "t_b": 10.0, "t_db": 0.05, "F_max": 30.0}, "reference infeasible: it needs 69.3 N"),
-        ({"profile": "step", "F_max": 12.0}, ""),  # 24 N s/m at 0.5 m/s
+        ({"profile": "step", "F_max": 12.0}, ""),  # 24 N s/m at 0.5 m/s need 12 N
         ({"profile": "step", "F_max": 11.9}, "reference infeasible: it needs 12 N"),
         ({"x_d": 0.1}, ""),
         ({"x_d": 0.2}, "x_d = 0.2 m: the speed runs from 0 to 0.756 m/s, outside 0 to 0.5 m/s"),
@@ -259,7 +259,7 @@ def test_each_phase_trips_the_half_bridges(phase):
         plant.advance(0, phase_voltage=(0.0,) * 4, load=None)
         assert plant.x.fault is trips
         assert plant.outputs(0)["phase_currents"][phase] == pytest.approx(current, rel=1e-6)
-        plant.advance(0, phase_voltage=(0.0,) * 4, load=None)  # after a fault the supply takes the flux away
+        plant.advance(0, phase_voltage=(0.0,) * 4, load=None)  # after a fault the supply drives the flux to zero
         used = 0.006 * current - getattr(plant.x, names[phase])
         assert used == pytest.approx(150.0 * 5e-5 if trips else 0.0, abs=1e-9)
 
@@ -307,14 +307,15 @@ def test_figures_of_a_motion_are_loops_over_its_samples(sign, name):
     t = np.arange(200) * 0.001
     v = sign * (np.minimum(6.0 * t, 0.5) + 0.02 * np.sin(80.0 * t) + 0.002 * rng.normal(size=200))
     x, F = np.cumsum(v) * 0.001, sign * (10.0 + 3.0 * np.sin(300.0 * t) + rng.normal(size=200))
-    when = np.arange(40) * 0.005 + 0.0002  # the reference is published less often, between the samples
+    when = np.arange(40) * 0.005 + 0.0002  # the reference is published less often, and between two samples
     wanted = sign * np.minimum(6.0 * when, 0.5)
     signals, v_d = drive(t, v, x, F, (when, wanted), name), sign * 0.5
     fast = [sign * b for a, b in zip(t, v, strict=True) if a >= 0.09]
     assert figures.overshoot(signals, v_d=v_d, start=0.09, drive=name) == near(100.0 * (max(fast) - 0.5) / 0.5)
     assert figures.dip(signals, v_d=v_d, start=0.09, drive=name) == near(100.0 * (0.5 - min(fast)) / 0.5)
     errors = [abs(w - v[int((at + 1e-9) / 0.001)]) for at, w in zip(when, wanted, strict=True)]
-    holds = [0.005] * 39 + [0.199 - when[-1]]  # each reference until the next one, the last to the end of the record
+    # Each reference holds until the next one, and the last to the end of the record.
+    holds = [0.005] * 39 + [0.199 - when[-1]]
     first = when[0]
     assert figures.iae(signals, drive=name) == near(sum(h * e for h, e in zip(holds, errors, strict=True)))
     assert figures.itae(signals, drive=name) == near(
@@ -341,18 +342,18 @@ def test_figures_of_a_motion_are_loops_over_its_samples(sign, name):
     assert figures.arrival(signals, v_d=v_d, part=1.2, drive=name) == math.inf
     assert figures.arrival(signals, v_d=v_d, part=-0.5, drive=name) == 0.0
     way = drive(np.arange(3) * 1.0, v[:3], np.array([0.0, 0.5, 1.0]), np.array([4.0, 6.0, 8.0]))
-    # exactly the required distance; the first sample is a whole pitch back
+    # The way is exactly one pitch; the first sample lies one pitch back.
     assert figures.mean_force(way, pitch=0.5) == 7.0
 
 
 def test_the_peak_force_of_a_motion_both_ways_is_the_larger_one():
     t, F = np.arange(6) * 1.0, np.array([0.0, 5.0, 2.0, 0.0, -7.0, -1.0])
     for x, peak in (
-        ([0, 1, 2, 3, 2.7, 2.6], 5.0),  # a short way back does not change the direction
-        ([0, 1, 2, 2, 1, 0], -7.0),  # there and back
+        ([0, 1, 2, 3, 2.7, 2.6], 5.0),  # a short way back is not a change of direction
+        ([0, 1, 2, 2, 1, 0], -7.0),  # forth and back
         ([0, -1, -2, -2, -3, -4], -7.0),
         ([0, 0, 0, 0, 0, 0], 5.0),
-        ([0, 5, 10, 10, 9, 8], 5.0),  # a fifth of the way back is exactly the limit
+        ([0, 5, 10, 10, 9, 8], 5.0),  # the way back of a fifth is exactly the limit
     ):
         signals = drive(t, F, np.array(x, float), F)
         assert figures.peak_force(signals, width=1.0) == peak

@@ -32,12 +32,12 @@ OFF = (0.0, 0.0, 0.0, 0.0)
 MS = 1_000_000
 
 SCENARIOS = sorted(n for n in list_scenarios() if n.startswith("lsrm_fuzzy"))
-# the paper's three laws, its load and its arrival are daily
+# The paper's three laws, its load and its arrival run daily.
 MORE = {"10khz", "fast", "mrac_fast", "n2_fast", "n2_mrac", "n2_mrac_fast", "n2_pi_fast", "n2_s", "n2_s_fast", "n3",
         "n3_fast", "n3_mrac", "n3_mrac_fast", "n3_pi", "n3_pi_fast", "n3_s", "n3_s_fast", "n4_fast", "n4_p",
         "n4_p_fast", "n5", "n5_p", "n5_p_printed", "n5_printed", "pi_fast", "s", "s_fast", "s_smooth",
         "smooth", "relay"}  # fmt: skip
-SHARED = ("lsrm_fuzzy", "lsrm_fuzzy_n2")  # runs that several tests look at
+SHARED = ("lsrm_fuzzy", "lsrm_fuzzy_n2")  # several tests use these runs
 
 
 @cache
@@ -150,7 +150,7 @@ def independent(state, u, duration):
     return solve_ivp(derivative, (0.0, duration), state, method="DOP853", rtol=1e-10, atol=1e-13).y[:, -1]
 
 
-@pytest.mark.long  # golden bags hold the plant's bytes daily
+@pytest.mark.long  # golden bags check the bytes of the plant daily
 def test_recorded_voltages_agree_with_an_independent_solver():
     signals = recorded("lsrm_fuzzy", duration=0.3)
     voltages = np.column_stack([signals[f"phase_voltage/{k}/effort"].x for k in "abcd"])
@@ -381,7 +381,7 @@ def test_reversed_force_pushes_back_without_negative_current():
 
 def test_position_is_quantised():
     controller = ByHand(CurrentController(threshold=0.5))
-    edge = 0.004  # where g_a = -0.4 H/m = -threshold G; the sensor steps half a step later
+    edge = 0.004  # here g_a = -0.4 H/m = -threshold G; the sensor changes half a count later
     seen = [
         controller.update(0, joint_states=(edge + dx, 0.0), phase_currents=OFF, force_cmd=(-12.0,))["phase_voltage"][0]
         for dx in (0.0, 4e-6, 6e-6)
@@ -401,8 +401,8 @@ def test_reference_that_the_motor_cannot_follow_warns():
     fast = ByHand(ProfileGenerator(v_d=2.5, t_d=0.8))
     assert fast.reports["infeasible"][2] == 1
     assert fast.reports["infeasible"][0] == Level.WARN
-    assert "needs 68.8 N" in fast.reports["infeasible"][1]  # 60 N for the speed alone
-    assert "infeasible" not in ByHand(ProfileGenerator(v_d=2.5, t_d=0.8, k_p=0.0)).reports  # 39.4 N
+    assert "needs 68.8 N" in fast.reports["infeasible"][1]  # of which the speed alone needs 60 N
+    assert "infeasible" not in ByHand(ProfileGenerator(v_d=2.5, t_d=0.8, k_p=0.0)).reports  # needs only 39.4 N
     assert "infeasible" in ByHand(ProfileGenerator(v_d=0.5, t_d=0.1)).reports
     assert "infeasible" in ByHand(ProfileGenerator(t_b=1.0, t_db=0.04)).reports
     fast.change(fast.block.p.model_copy(update={"k_p": 0.0, "v_d": 3.0}))
@@ -434,6 +434,6 @@ def test_malformed_message_never_reaches_the_block(port, names, values, text):
 def test_a_rejected_measurement_holds_the_force_and_releases_the_phases():
     for controller in (LsrmFuzzy(), LsrmPi(), LsrmMrac(), CurrentController()):
         x = controller.first()
-        assert controller.refused(x, MS) == (x, None)  # the last command is held
+        assert controller.refused(x, MS) == (x, None)  # the controller holds its last command
     assert FORCE_CMD.safe == (0.0,)
     assert PHASE_VOLTAGE.safe == OFF

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.processes
 CURRENT_A = "phase_currents/a/position"
 
 
-@pytest.mark.long  # daily with a load that trips the motor, below
+@pytest.mark.long  # a daily test with a load that trips the motor is below
 @pytest.mark.parametrize("name", ["lsrm_fuzzy_short", "lsrm_fuzzy", "lsrm_fuzzy_n2_mrac"])
 def test_the_same_bits_over_topics(name, tmp_path):
     scenario = load_scenario(name)
@@ -33,12 +33,12 @@ def test_overcurrent_trips_in_a_process(tmp_path):
     assert tripped > 10
     assert (np.diff(currents.max(axis=0)[tripped:]) <= 0.0).all()
     assert currents[:, tripped + 60 :].max() == 0.0  # 3 ms later
-    assert run.signals["phase_voltage/a/effort"].x.min() == 150.0  # commanded all the time
+    assert run.signals["phase_voltage/a/effort"].x.min() == 150.0  # the voltage is commanded all the time
     assert run.status["lsrm_plant"]["reports"]["overcurrent"][2] == 1
     assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 
 
-# Sends one command again and again.
+# Publishes one command again and again.
 PERSON = f"""
 import rclpy, sys
 from math import nan
@@ -84,7 +84,7 @@ class Hand:
 
 @pytest.mark.long
 def test_nodes_started_one_by_one_move_the_translator_in_real_time(bench):
-    slow = {"period": 0.005}  # what a busy machine can do against the wall clock
+    slow = {"period": 0.005}  # a busy machine can run this in real time
     nodes = {
         "lsrm_plant": ("lsrm_plant", slow | {"substeps": 500}),
         "current_controller": ("current_controller", slow | {"K_pc": 0.01, "K_ic": 0.5}),
@@ -98,7 +98,7 @@ def test_nodes_started_one_by_one_move_the_translator_in_real_time(bench):
         bench.wait(lambda name=name: bench.status(name)["ticks"] > 20)
     bench.wait(lambda: bench.signal("lsrm_plant", "joint_states/translator/position").x[-1] > 0.1)
     assert "overcurrent" not in bench.status("lsrm_plant")["reports"]
-    # the load needs 2.4 N
+    # The load needs 2.4 N.
     bench.wait(lambda: bench.signal("speed_controller", "force_cmd/translator/effort").x.max() > 2.0)
 
 
@@ -106,13 +106,14 @@ def test_nodes_started_one_by_one_move_the_translator_in_real_time(bench):
 def test_bad_commands_of_a_person_are_rejected_or_clipped_and_the_nodes_continue(bench):
     hand = Hand(bench)
     hand.sends("phase_voltage", "a b c d", "15 0 0 0", lambda: hand.current() > 5.9)
-    bench.wait(lambda: hand.told("stale phase_voltage"))  # no commands arrive any more: 0 V
+    bench.wait(lambda: hand.told("stale phase_voltage"))  # without further commands the voltage is 0 V
     bench.wait(lambda: hand.current() < 1e-3)
     hand.sends("phase_voltage", "a b c d", "nan 0 0 0", lambda: "a/effort is nan" in hand.refused("phase_voltage")[1])
     hand.sends("phase_voltage", "a b c", "9 9 9", lambda: "names ['a', 'b', 'c']" in hand.refused("phase_voltage")[1])
     assert hand.current() < 1e-3
     hand.sends("load", "mass friction", "-5 0", lambda: hand.told("bad_load"))
     assert not hand.told("overcurrent")
-    hand.sends("phase_voltage", "d c b a", "0 0 0 900", lambda: hand.told("overcurrent"))  # in another order
+    # The names in another order.
+    hand.sends("phase_voltage", "d c b a", "0 0 0 900", lambda: hand.told("overcurrent"))
     assert hand.told("clipped")
     bench.wait(lambda: hand.current() == 0.0)

@@ -30,7 +30,7 @@ def in_phases(p, duty, x, t_end):
     """Integrate the machine in coordinates of the phases: L(theta) i' = u - R i - w L' i - e; two masses, DC link."""
     L_0, L_2 = (p.L_d + p.L_q) / 3.0, (p.L_d - p.L_q) / 3.0
 
-    def inductances(theta):  # without zero sequence: rows of phases with mutual inductance
+    def inductances(theta):  # inductance matrix of the phases without zero sequence
         angles = [2.0 * (p.pole_pairs * theta) - (j + k) * THIRD for j in range(3) for k in range(3)]
         first = np.array([[L_0 if j == k else -0.5 * L_0 for k in range(3)] for j in range(3)])
         return first + L_2 * np.cos(angles).reshape(3, 3), -2.0 * p.pole_pairs * L_2 * np.sin(angles).reshape(3, 3)
@@ -41,7 +41,8 @@ def in_phases(p, duty, x, t_end):
     def slope(_, y):
         i, (w, theta, w_l, theta_l, u_dc) = clarke @ y[:2], y[2:]
         L, dL = inductances(theta)
-        e = -p.pole_pairs * p.psi_f * np.sin(p.pole_pairs * theta - turn)  # of psi_f cos(p theta - k 2 pi/3)
+        # The derivative of psi_f cos(p theta - k 2 pi/3).
+        e = -p.pole_pairs * p.psi_f * np.sin(p.pole_pairs * theta - turn)
         u = (np.array(duty) - np.mean(duty)) * u_dc
         right = u - p.R_s * i - w * (dL @ i) - w * e
         rate = np.linalg.solve((clarke.T @ L @ clarke), clarke.T @ right)
@@ -89,7 +90,8 @@ def test_dead_time_reduces_the_voltage_as_in_textbooks(inverter, sign):
     for k in range(3000):
         block.advance(k * 100_000, duty=(0.5 + share, 0.5 - share / 2, 0.5 - share / 2), load_torque=None)
     i_a = block.outputs(3000 * 100_000)["currents"][0]
-    u = share * U_dc - 4.0 / 3.0 * dead / 1e-4 * U_dc * sign  # of a leg with +i and two with -i/2
+    # Voltage of a leg with current +i while two legs carry -i/2.
+    u = share * U_dc - 4.0 / 3.0 * dead / 1e-4 * U_dc * sign
     assert i_a == pytest.approx(u / R, rel=2e-3)
 
 
@@ -232,9 +234,10 @@ def test_a_load_step_within_a_period_and_trips():
         block.outputs(k * 100_000)
     assert block.x.fault
     assert block.reports["overcurrent"][0] == Level.ERROR
-    assert abs(block.outputs(0)["currents"][0]) < 5.0  # short-circuited, it decays
+    assert abs(block.outputs(0)["currents"][0]) < 5.0  # the current of the short circuit has decayed
     block = plant(C_dc=1e-5, R_dc=100.0, one_way=True, w_0=200.0, U_dc=300.0, trip_voltage=320.0)
-    for k in range(100):  # zero voltage in turn with voltage against the rotation pumps the energy of the mass up
+    # Zero voltage and voltage against the rotation in turn charge the DC link from the moving mass.
+    for k in range(100):
         duty = (0.5, 0.5, 0.5) if k % 2 else tuple(0.5 - 0.05 * math.sin(0.06 * k - j * THIRD) for j in range(3))
         block.advance(k * 100_000, duty=duty, load_torque=None)
     assert block.reports["overvoltage"][0] == Level.ERROR
@@ -358,7 +361,7 @@ def test_field_weakening_keeps_the_voltage():
     speed = run.signals["joint_states/shaft/velocity"]
     fast = t > 0.5
     assert 0.85 < np.hypot(d, q)[fast].max() * 3**0.5 / 540.0 <= 1.0
-    assert speed.x[-1] * 3 * 0.545 > 1.5 * 540.0 / 3**0.5  # the voltage that the magnet alone induces
+    assert speed.x[-1] * 3 * 0.545 > 1.5 * 540.0 / 3**0.5  # the magnet's voltage alone exceeds that of the link
     assert run.figures["i_d_idle"] == pytest.approx((0.9 * 540.0 / 3**0.5 / 900.0 - 0.545) / 0.036, rel=0.01)
 
 

@@ -108,9 +108,9 @@ def test_a_current_step_is_followed_at_any_bandwidth_and_speed(name, seed):
 @pytest.mark.parametrize(
     ("pairs", "rpm", "R", "L", "psi", "period"),
     [
-        (20, 9000.0, 0.1, 5e-5, 0.003, 1e-4),  # a drone's motor at a slow period
+        (20, 9000.0, 0.1, 5e-5, 0.003, 1e-4),  # a drone's motor with a long period
         (1, 1e5, 0.05, 2e-5, 0.001, 1e-4),
-        (3, -3000.0, 2.0, 1e-4, 0.1, 1e-4),  # its currents are faster than the period
+        (3, -3000.0, 2.0, 1e-4, 0.1, 1e-4),  # the currents decay faster than the period
     ],
 )
 def test_currents_of_a_fast_machine_are_exponentials_whatever_the_substeps(pairs, rpm, R, L, psi, period):
@@ -267,7 +267,7 @@ def rivals(torque, k, L_d, L_q, psi_f):
     a, b = k * (L_d - L_q) * np.sin(angle) * np.cos(angle), k * psi_f * np.sin(angle)
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b * b + 4.0 * a * torque)
-        i = 2.0 * torque / (b + root)  # stable where a is small
+        i = 2.0 * torque / (b + root)  # this form is accurate for small a
     return float(np.nanmin(i))
 
 
@@ -326,7 +326,7 @@ def test_six_step_commutation_carries_load_and_losses(name, seed):
     machine |= {"U_dc": load_scenario(name).nodes["bldc_plant"].parameters.get("U_dc", 24.0), "trip_current": 1e4}
     every, period, p = 10, 5e-6, BldcPlantParams(**machine)
     i_load = draw.uniform(0.05, 0.12) * p.U_dc / (2.0 * p.R)
-    # The sectors are seen once in a period of the law.
+    # The law samples the sectors once in a period.
     speed = min(draw.uniform(0.15, 0.35) * p.U_dc / (2.0 * p.k_e), 0.1 / (p.pole_pairs * every * period))
     load, J = 2.0 * p.k_e * i_load, 20.0 * p.J
     block = ByHand(
@@ -359,5 +359,5 @@ def test_six_step_commutation_carries_load_and_losses(name, seed):
     diode = np.where(mean > 0.0, -p.v_diode, p.U_dc + p.v_diode)
     used = np.sum(np.where(gate[:-1] >= 0.0, gate[:-1] * p.U_dc, diode) * mean) * period
     out = np.sum(p.R * square + torque * w) * period + 0.5 * p.L * (square[-1] - square[0])
-    # While it brakes, what comes in is the small difference of heat and motion.
+    # While braking, the input is a small difference of heat and motion.
     assert used == pytest.approx(out, abs=2e-3 * np.sum(p.R * square + np.abs(torque * w)) * period)

@@ -156,7 +156,7 @@ def test_commutation_at_standstill_is_the_matrix_exponential():
         block.advance(k * 50_000, gates=(0.5, 0.0, -1.0), load_torque=None)
     i = 12.0 / (2 * p.R) * (1.0 - math.exp(-p.R / p.L * 10 * p.period))
     assert (block.x.i_a, block.x.i_b, block.x.i_c) == pytest.approx((i, -i, 0.0), rel=1e-6)
-    u = np.array([12.0, 24.7, 0.0])  # of the terminals while b conducts through its diode
+    u = np.array([12.0, 24.7, 0.0])  # terminal voltages while b conducts through its diode
     drive = (u - u.mean()) / p.R  # final values of the currents
     decay = math.exp(-p.R / p.L * p.period)
     now = np.array([i, -i, 0.0])

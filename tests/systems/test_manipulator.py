@@ -43,7 +43,7 @@ E_SIGNAL = [f"controller_state/e{i}/position" for i in (1, 2, 3)]
 V_SIGNAL = [f"motor_command/motor{i}/effort" for i in (1, 2, 3)]
 
 
-# The closed form of D and G, with Coriolis terms from Christoffel symbols: no URDF, no pinocchio.
+# D and G in closed form, with Coriolis terms from Christoffel symbols; neither the URDF nor pinocchio.
 
 
 @functools.cache
@@ -60,7 +60,7 @@ def lagrangian():
     D = ca.blockcat([[d11, 0, 0], [0, d22, d23], [0, d23, d33]])
     gravity = G * ca.vertcat(0, m2 * r2 * c2 + m3 * reach, m3 * r3 * c23)
     height = G * (m1 * 0.06 + m2 * (0.28 + r2 * s2) + m3 * (0.28 + a2 * s2 + r3 * s23))
-    slopes = [ca.reshape(ca.jacobian(D, q[k]), 3, 3) for k in range(3)]  # dD/dq_k
+    slopes = [ca.reshape(ca.jacobian(D, q[k]), 3, 3) for k in range(3)]  # derivative dD/dq_k
     C = ca.SX.zeros(3, 3)
     for i in range(3):
         for j in range(3):
@@ -223,7 +223,7 @@ def test_symbolic_dynamics_equal_pinocchios(urdf):
 def free_swing(h, duration=2.0):
     """Trajectory of the arm without motors by the compiled step."""
     step, _, n = compile_robot(manipulator_urdf(), "tool")
-    circuit = (1.0,) * n + (1.0,) * n  # R, L; no torque constant, inertia, damping or friction
+    circuit = (1.0,) * n + (1.0,) * n  # R and L; no torque constant, inertia, damping or friction
     plant = (*circuit, *(0.0,) * (7 * n), 1.0, 1.0, 0.0)
     x = (0.3, 0.5, -0.4, 0.5, -0.2, 0.3, 0.0, 0.0, 0.0)
     states = [x]
@@ -318,7 +318,7 @@ def run(name, duration=None, **overrides):
     return Signals(in_process(rig_of(scenario)))
 
 
-# each law, the published voltages, two links and the stretch are daily; the rest differs in numbers only
+# Each law, the published voltages, two links and the stretch run daily; the others differ only in numbers.
 LATER = {f"manipulator_adsmc_{n}" for n in ("s2", "s2b", "s3", "s4_printed_mu1", "s6_large_a2_b2", "s6_small_a1_b1",
                                             "stretch_minus", "stretch_plus", "siciliano")}  # fmt: skip
 NAMES = sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc"))

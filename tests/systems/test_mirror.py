@@ -31,13 +31,13 @@ LATER = {
     "softrig_systems": "aqm_controller ocp_plant pendulum_controller pendulum_plant spacecraft_plant "
     "switched_delay_plant tank_controller tank_plant tcp_fluid tcp_packets two_state_plant",
 }
-TIME = {  # what they do is a function of time, by name or by the grid's angle
+TIME = {  # their outputs depend on time, by name or by the angle of the grid
     "softrig_control": "command_source reference_source scalar_source",
     "softrig_drives": "dtc_controller flux_observer lsrm_load profile_generator step_buttons",
     "softrig_power": "gupfc_plant line_plant pulse_generator rectifier_plant shading_source unit_fleet",
     "softrig_robots": "patient rehab_reference trajectory_source tuner",
 }
-NOT_OPEN = {  # no numbers in, no numbers out, a file or seconds of a solver are needed
+NOT_OPEN = {  # they have no numeric input or output, or need a file or seconds of a solver
     "softrig_bags": "tape",
     "softrig_core": "clock figures",
     "softrig_control": "c_controller c_plant fault fmu_controller fmu_plant gpc_certificate pid_controller policy "
@@ -127,7 +127,7 @@ def test_a_feedback_whose_plant_has_a_negative_gain_stops_its_integral_too():
         x, u = direct(x, error, (0.1,), 0.0)
         y, v = reverse(y, error, (0.1,), 0.0)
         assert (y, v) == (x, -u)
-    assert x < 0.6  # of the 4 s of its input
+    assert x < 0.6  # without the limit the integral would be 4 s times the input
 
 
 def acting(gain):
@@ -172,4 +172,4 @@ def test_a_reverse_acting_loop_settles_as_the_direct_one():
     assert ends[0].tolist() == ends[1].tolist()
     assert commands[0].tolist() == commands[1].tolist()
     assert abs(ends[0][-1] - 3.0) < 1e-6
-    assert max(commands[0]) == 80.0  # Kp 20, at the first tick
+    assert max(commands[0]) == 80.0  # the first command, with Kp = 20

@@ -59,7 +59,7 @@ def compared(scenario: Any, make: Make = plain) -> Native:
     assert result.topics == wanted.topics
     for name, step in steps.items():
         other = others[name]
-        if not isinstance(step.block, Solver):  # a solver stores its computation time
+        if not isinstance(step.block, Solver):  # the state of a solver has its computation time
             assert repr(other.x) == repr(step.x) or other.x == step.x, name
         assert (other.reports, other.t, repr(other.values), repr(other.last_answer)) == (
             step.reports,
@@ -95,7 +95,7 @@ STAYS = {
     "GupfcPlant.outputs: slice": "gupfc_s2",
     "pulses.gates: an array of something else than numbers": "gupfc_s5 gupfc_s5_sweep",
     "many ticks are discarded": "manipulator_adsmc_stretch_minus manipulator_adsmc_stretch_plus",
-    # searches read each sample, so these runs stay in Python until the search is over
+    # These searches read each sample, so the runs stay in Python until the search has ended.
     "gives up": "pv_mppt_certified_transients pv_mppt_s2_certified_transients pv_mppt_s5_certified_transients",
     "Track.open: an assignment to a part of something": """
         pwa_delay_p3 pwa_delay_p3_unstable pwa_delay_p3_sine pwa_delay_p3_nonlinear""",
@@ -140,7 +140,7 @@ def test_a_scenario_gives_the_same_as_in_python(name: str) -> None:
     assert reason == REASONS.get(name, "")
 
 
-# one of each kind, and what may change while it runs
+# One scenario of each kind, and what may change during the run.
 SOME = ("dc_motor_smc_b2", "dc_motor_fsfb_s1", "rehab_impedance_r5", "tcp_aqm_smc_pid", "rectifier_mpc_l1",
         "manipulator_adsmc", "induction_dtc", "lsrm_fuzzy", "pv_mppt_s5", "gupfc_short")  # fmt: skip
 

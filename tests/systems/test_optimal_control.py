@@ -14,16 +14,16 @@ from softrig_systems.optimal_control.problem import Problem, ProblemError
 from softrig_systems.optimal_control.problems import INERTIA, find, spacecraft
 
 SCALAR, SPACECRAFT, TWO_STATE, REACTOR = (find(n) for n in ("scalar", "spacecraft", "two_state", "reactor"))
-PRINTED = (0.7436866718, 0.3617355350, 0.1206193519)  # the paper's alpha of example 2
+PRINTED = (0.7436866718, 0.3617355350, 0.1206193519)  # alpha of example 2, as printed in the paper
 
 
 # Series
 
 settings.register_profile("busy", deadline=None, max_examples=40)
-settings.load_profile("busy")  # the first call compiles
+settings.load_profile("busy")  # the first call compiles, which exceeds the deadline
 small = st.floats(-1.0, 1.0, allow_subnormal=False)
 polynomial = st.lists(small, min_size=7, max_size=7).map(np.array)
-unit = polynomial.map(lambda a: np.concatenate([[1.5], a[1:]]))  # a constant term far from 0
+unit = polynomial.map(lambda a: np.concatenate([[1.5], a[1:]]))  # invertible, since the constant term is far from 0
 NEAR = {"rel": 1e-9, "abs": 1e-9}
 
 
@@ -129,7 +129,7 @@ def test_operations_without_a_series_are_refused():
         Tape.of(ca.Function("f", [x], [ca.fabs(x)]))
 
 
-# C1 to C6, S6 and the stretch: the planners by themselves
+# C1 to C6, S6 and the stretch: the planners alone
 
 
 def test_example_1():
@@ -138,7 +138,7 @@ def test_example_1():
     assert [a[0] for a in solution.alphas[:6]] == pytest.approx([-1.0] * 6, abs=1e-12)
     assert solution.J[-1] == pytest.approx(0.2353270772, abs=1e-9)
     assert solution.alpha[0] == pytest.approx(-0.9989582066, abs=5e-9)
-    # the "maximum state error" of the paper is a residual
+    # What the paper calls the "maximum state error" is a residual.
     assert solution.state_residual[4] == pytest.approx(3.2359e-5, abs=1e-9)
     assert solution.ratio[4] == pytest.approx(1.69e-3, abs=1e-5)
     assert solution.ratio[7] == pytest.approx(1.4e-4, abs=1e-5)
@@ -147,10 +147,10 @@ def test_example_1():
 
 def test_the_papers_rule_fails_and_the_corrected_one_does_not():
     solution = solve(SCALAR, 1, 20, eps_res=1e-2)
-    assert solution.seed_order == 2  # even orders change nothing
+    assert solution.seed_order == 2  # each even order repeats the result before it
     assert (solution.converged, solution.order) == (True, 9)
     assert solve(SCALAR, 1, 4).converged is False
-    # an order is accepted only if its residual is small, too
+    # An order is accepted only if its residual is small as well.
     assert solve(SCALAR, 1, 20, eps_res=1e-12).converged is False
 
 
@@ -169,7 +169,8 @@ OWN = {1: 0.00468912900, 2: 0.00467836610, 3: 0.00469251885, 4: 0.00468699624, 5
 def test_example_2():
     solution = solve(SPACECRAFT, 12)
     for n, J in OWN.items():
-        assert solution.J[n - 1] == pytest.approx(J, abs=1e-10 if n > 1 else 1.3e-10), n  # the list has 11 digits
+        # The list is printed with 11 digits.
+        assert solution.J[n - 1] == pytest.approx(J, abs=1e-10 if n > 1 else 1.3e-10), n
     assert solution.alphas[3] == pytest.approx([0.74359199, 0.36195558, 0.12909877], abs=1e-8)
     assert solution.alpha == pytest.approx(np.array(INERTIA) ** 2 * SPACECRAFT.x0 / 100.0, abs=1e-8)
     assert solution.J[-1] == pytest.approx(exact.least_cost(SPACECRAFT), abs=1e-12)
@@ -179,7 +180,7 @@ def test_example_2():
 def test_tables_of_example_2_use_a_frozen_alpha():
     solution = solve(SPACECRAFT, 4, alpha_mode="frozen", frozen_alpha=PRINTED)
     assert solution.J[:3] == pytest.approx([0.00468052, 0.00467797, 0.00467903], abs=5e-9)
-    assert solution.J[3] == pytest.approx(0.0046788970, abs=1e-10)  # printed 0.00467886
+    assert solution.J[3] == pytest.approx(0.0046788970, abs=1e-10)  # printed as 0.00467886
     assert max(solution.J) < exact.least_cost(SPACECRAFT)
     assert not solution.accurate
 
@@ -217,7 +218,7 @@ def test_example_3():
 def test_tables_of_example_3_use_a_frozen_alpha():
     solution = solve(TWO_STATE, 4, alpha_mode="frozen", frozen_order=2)
     assert solution.J[:3] == pytest.approx([0.417241, 0.410274, 0.427145], abs=1e-6)
-    assert solution.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed 0.431156
+    assert solution.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed as 0.431156
 
 
 @pytest.mark.parametrize(
@@ -295,7 +296,7 @@ def test_collocation(problem, off):
     least = exact.tpbvp(problem).cost if problem is TWO_STATE else exact.least_cost(problem)
     assert solution.success
     assert abs(solution.J - least) < off
-    assert solution.alpha == pytest.approx(solve(problem, 30).alpha, abs=2e-7)  # the multipliers are the costates
+    assert solution.alpha == pytest.approx(solve(problem, 30).alpha, abs=2e-7)  # the multipliers equal the costates
     n = len(problem.states)
     along = np.array([solve(problem, 30)(t) for t in np.linspace(0.0, problem.horizon, 101)]).T
     assert solution.rows[:n] == pytest.approx(along[:n], abs=1e-5)
@@ -322,7 +323,7 @@ def test_end_error_over_rate(times, order, stages, off):
 
 @pytest.mark.parametrize("times", [1, 5, 20])
 def test_stages_reach_beyond_the_radius_of_convergence(times):
-    assert true_end_error(times, 16, 8) < 1e-11  # 1e-8 was asked for at 20 times the rates
+    assert true_end_error(times, 16, 8) < 1e-11  # the paper asks for 1e-8 at 20 times the rates
 
 
 def true_end_error(times, order, stages):
@@ -355,16 +356,16 @@ def test_the_true_state_error_is_below_1e_9(problem, order):
     fine = solve(problem, 30, stages=4)
     solution = solve(problem, order)
     assert max(np.abs(solution(t)[:n] - fine(t)[:n]).max() for t in np.linspace(0.0, T, 201)) < 1e-9
-    coarse = solve(problem, order - 4)  # the bound is not met by just any order
+    coarse = solve(problem, order - 4)  # a lower order does not meet the bound
     assert max(np.abs(coarse(t)[:n] - fine(t)[:n]).max() for t in np.linspace(0.0, T, 201)) > 1e-9
 
 
-# A problem stated once: the fourth one, and one of a user's own
+# The fourth problem, and one that a user has defined.
 
 
 def test_the_reactor_by_three_methods():
     least = exact.tpbvp(REACTOR)
-    assert least.cost == pytest.approx(0.0266, abs=1e-4)  # Kirk, and many after him
+    assert least.cost == pytest.approx(0.0266, abs=1e-4)  # the value published by Kirk and others
     staged = solve(REACTOR, 16, stages=16)
     assert staged.converged
     assert staged.J[-1] == pytest.approx(least.cost, abs=1e-8)

@@ -37,7 +37,7 @@ def near(expected):
     return pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-MOVER = Problem(  # a mass moved by 1 in 2 s: u = 1.5 (1 - t), lambda = (-1.5, -1.5 (1 - t)), J = 0.75
+MOVER = Problem(  # the mass moves by 1 in 2 s: u = 1.5 (1 - t), lambda = (-1.5, -1.5 (1 - t)), J = 0.75
     "mover",
     {"q": "m", "v": "m/s"},
     {"u": "m/s^2"},
@@ -166,7 +166,7 @@ def test_pontryagins_conditions_are_those_of_the_hamiltonian(R):
         (np.array(problem.extremal.function(z + d)[0]) - problem.extremal.function(z - d)[0]) / 2e-5 for d in steps
     ]
     columns = np.zeros((12, 2))
-    columns[:, 0] = [*z, *np.arange(8.0)]  # S has one column for each costate
+    columns[:, 0] = [*z, *np.arange(8.0)]  # S has a column for each costate
     expand(problem.extremal.variational, columns, np.zeros((0, 2)), 1.0)
     moved = np.hstack(jacobian) @ np.arange(8.0).reshape(2, 4).T
     assert columns[4:, 1].tolist() == pytest.approx(moved.T.ravel().tolist(), rel=1e-7, abs=1e-7)
@@ -263,7 +263,7 @@ def test_newton_halves_its_steps_if_allowed_and_keeps_the_best(monkeypatch):
     monkeypatch.setattr(mvim, "_ends", ends_of(math.atan, lambda a: 1.0 / (1.0 + a * a), asked))
     alpha, error = newton(None, np.array([3.0]), 1, 1, 1.0, 1e-12, 12)
     assert (abs(alpha[0]) < 1e-9, error < 1e-9) == (True, True)
-    a, expected = 3.0, [3.0]  # the damped steps by hand
+    a, expected = 3.0, [3.0]  # the damped steps, computed here
     while len(expected) < len(asked):
         step = -math.atan(a) * (1.0 + a * a)
         for _ in range(13):
@@ -274,18 +274,19 @@ def test_newton_halves_its_steps_if_allowed_and_keeps_the_best(monkeypatch):
         a = expected[-1]
     assert asked == near(expected[: len(asked)])
     asked.clear()
-    alpha, error = newton(None, np.array([3.0]), 1, 1, 1.0, 1e-12, 0, 5)  # full steps run away: the first was the best
+    # Full steps diverge, so the first alpha was the best.
+    alpha, error = newton(None, np.array([3.0]), 1, 1, 1.0, 1e-12, 0, 5)
     assert (alpha[0], error, len(asked)) == (3.0, near(math.atan(3.0)), 6)
     asked.clear()
     monkeypatch.setattr(mvim, "_ends", ends_of(lambda a: 1e-9, lambda a: 1.0, asked))
-    assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-8) == (0.0, 1e-9)  # the first of equally good alphas
-    assert len(asked) == 3  # two steps that change nothing, from what is accurate
+    assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-8) == (0.0, 1e-9)  # the first of several equal errors wins
+    assert len(asked) == 3  # an accurate start needs two more steps to see that they change nothing
     asked.clear()
     newton(None, np.array([0.0]), 1, 1, 1.0, 1e-9)
-    assert len(asked) == 3  # an error equal to the tolerance is accurate
+    assert len(asked) == 3  # an error equal to the tolerance counts as accurate
     asked.clear()
     assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-10)[1] == 1e-9
-    assert len(asked) == 41  # from an inaccurate point all 40 steps are made
+    assert len(asked) == 41  # an inaccurate start uses all 40 steps
     asked.clear()
     monkeypatch.setattr(mvim, "_ends", ends_of(lambda a: a * a, lambda a: 2.0 * a, asked))
     assert newton(None, np.array([1.0]), 1, 1, 1.0, 1e-30, steps=7)[0][0] == 2.0**-7
@@ -310,7 +311,7 @@ def test_the_end_conditions_and_their_jacobian_are_differences():
             for d in 1e-5 * np.eye(2)
         ]
         assert jacobian == pytest.approx(np.array(step).T / 2e-5, abs=1e-8)
-    # the mover under lambda = (0.4, -0.3 - 0.4 t), so u = 0.3 + 0.4 t
+    # The mover with lambda = (0.4, -0.3 - 0.4 t), hence u = 0.3 + 0.4 t.
     T = 0.9
     error, _ = mvim._ends(MOVER.changed(x0=(0.3, -0.2)), np.array([0.4, -0.3]), 6, 1, T)
     q, v = 0.3 - 0.2 * T + 0.3 * T**2 / 2 + 0.4 * T**3 / 6, -0.2 + 0.3 * T + 0.4 * T**2 / 2
@@ -320,12 +321,12 @@ def test_the_end_conditions_and_their_jacobian_are_differences():
 @pytest.mark.parametrize(
     ("order", "reached", "answer"),
     [
-        (1, {1.0: 9.0}, 2.0),  # order 1 has one root, but 9 is far: from around, 2 is nearest
-        (5, {1.0: 1.5}, 1.5),  # as far as half of alpha
-        (5, {1.0: 1.51}, 1.51),  # further: around it there is 2.0, and this is nearer
+        (1, {1.0: 9.0}, 2.0),  # the root found from 1 is 9, which is too far; the damped search finds 2
+        (5, {1.0: 1.5}, 1.5),  # a root at most half of alpha away is accepted
+        (5, {1.0: 1.51}, 1.51),  # too far, but the damped search finds 2.0, which is further
         (5, {1.0: 4.0}, 2.0),
         (5, {}, 2.0),
-        (2, {1.0: 1.0999}, 1.0999),  # at a low order a tenth is near enough
+        (2, {1.0: 1.0999}, 1.0999),  # at a low order, a tenth of alpha is near enough
         (4, {1.0: 1.11}, 1.11),
     ],
 )
@@ -424,7 +425,8 @@ def test_roots_are_ordered_by_the_cost_in_the_plant():
     free = Problem(**{**MOVER.__dict__, "name": "free mover", "x_end": None})
     escaped = best(free, [np.array([u]) for u in (3e6, 2e6, 0.5)], z_of, lambda z, u: float(u[0, 0, 0]))
     assert [(r.alpha[0], r.paid) for r in escaped] == [(0.5, near(0.25)), (2e6, math.inf), (3e6, math.inf)]
-    staged = np.array([[[1.0, 0.0]], [[0.0, 2.0]]])  # 1 for a second, then 2 s: v = 1 + 1, J = 1/2 + 2/3
+    # Controls of 1 for 1 s and then 2 for 1 s: v = 1 + 1, J = 1/2 + 2/3.
+    staged = np.array([[[1.0, 0.0]], [[0.0, 2.0]]])
     x = np.array([0.0, 0.0, 0.0])
     roots.pay(MOVER.extremal.plant, staged, 2.0, 64, x)
     assert x.tolist() == pytest.approx([0.5 + 1.0 + 1.0 / 3.0, 2.0, 0.5 + 2.0 / 3.0])
@@ -511,7 +513,7 @@ def test_the_residual_of_a_coarse_collocation_is_that_of_its_polynomial():
     solution = collocation.solve(problem, intervals=1, degree=2, samples=41)
     t = np.linspace(0.0, 2.0, 41)
     x, u = np.polynomial.Polynomial.fit(t, solution.rows[0], 2), np.polynomial.Polynomial.fit(t, solution.rows[2], 1)
-    points = [0.0, *(1.0 + np.polynomial.legendre.leggauss(2)[0])]  # of 2 s
+    points = [0.0, *(1.0 + np.polynomial.legendre.leggauss(2)[0])]  # over the first of two intervals of 2 s
     between = [(a + b) / 2 for a, b in itertools.pairwise(points)]
     off = max(abs(x.deriv()(s) - x(s) ** 2 * math.sin(x(s)) / 2 - u(s)) for s in between)
     assert off > 1e-3
@@ -519,7 +521,8 @@ def test_the_residual_of_a_coarse_collocation_is_that_of_its_polynomial():
 
 
 def test_the_remaining_plan_has_the_end_of_the_plan():
-    rows = np.array([np.linspace(0.0, 1.0, 11) ** k for k in (3, 2, 5, 1)])  # a state, two costates... and a control
+    # Rows of a state, two costates and a control.
+    rows = np.array([np.linspace(0.0, 1.0, 11) ** k for k in (3, 2, 5, 1)])
     guess = collocation.sampled(rows[[0, 1, 2]], 10.0, 4.0, 1)
     s = np.array([0.0, 0.5, 1.0])
     assert guess(s) == pytest.approx(np.array([[0.6**3, 0.8**3, 1.0], [0.6**5, 0.8**5, 1.0]]), abs=1e-3)
@@ -597,7 +600,7 @@ def test_planners_solve_their_requests():
     assert solution.details["alpha"] == " ".join(f"{a:.10g}" for a in own.alpha)
     assert (solution.details["end error"], solution.details["order"]) == (f"{own.end_error:.3g}", "6")
     assert MvimPlanner.shape(series.p) == (1, 7)
-    # so the planner reports how many stages suffice
+    # The planner reports how many stages suffice.
     assert (solution.accurate, own.residual[-1] >= 1e-4) == (True, True)
     stages = mvim.enough_stages(find("two_state").changed(x0=(-0.4, 0.1)), 6, 1e-4)
     assert solution.reason == f"{own.reason}; stages: {stages} do; {mvim.several(own)}"
@@ -610,15 +613,13 @@ def test_planners_solve_their_requests():
     solution = CollocationPlanner.solve(request, None)
     again = collocation.solve(find("two_state"), intervals=4, samples=5)
     assert (np.reshape(solution.values, (5, 5)).tolist(), solution.order) == (again.rows.tolist(), 3)
-    assert again.end_error == 0.0  # a free end has no end error
+    assert again.end_error == 0.0  # a free end state has no end error
     assert solution[2:8] == (again.J, again.residual, again.end_error, True, again.residual < 1e-4, again.reason)
     assert solution.details["alpha"] == f"{again.alpha[0]} {again.alpha[1]}"
     assert (solution.details["J"], solution.details["iterations"]) == (f"{again.J:.12g}", str(again.iterations))
     assert (solution.memory[0].tolist(), solution.memory[1]) == (again.rows.tolist(), 1.0)
     assert CollocationPlanner.shape(coarse.p) == (1, 5)
-    x = coarse.first()._replace(
-        last=solution
-    )  # from the last plan on there is nothing to do, from a straight line there is
+    x = coarse.first()._replace(last=solution)  # the last plan is already optimal, a straight line is not
     warm = CollocationPlanner.solve(coarse.request(x, 0, state=(-0.8, 0.0))[1], None)
     cold = CollocationPlanner(problem="two_state", intervals=4, samples=5, warm_start=False)
     cold = CollocationPlanner.solve(cold.request(x, 0, state=(-0.8, 0.0))[1], None)
@@ -676,9 +677,9 @@ def test_the_player_reads_the_newest_plan(form, sampling):
         (1.0, {"horizon": math.inf}, 0.0, {}, "the plan is over: it began at 0 s and lasts inf s"),
         (3.0, {}, 0.0, {}, "the plan is over: it began at 0 s and lasts 3 s"),
         (2.999, {}, 0.0, {}, ""),
-        (0.0, {}, 1.9e-6, {}, ""),  # a millionth of a state of 2
+        (0.0, {}, 1.9e-6, {}, ""),  # within a millionth of a state of 2
         (0.0, {}, 2.1e-6, {}, "the plan is another problem's: it begins at"),
-        (0.5, {}, 0.3, {}, ""),  # later the state may be anywhere
+        (0.5, {}, 0.3, {}, ""),  # later than its start, a plan does not restrict the state
         (0.0, {"trusted": 0.0, "residual": 0.25}, 0.0, {}, "the plan has not converged: residual 0.25"),
         (0.0, {"trusted": 0.5}, 0.0, {}, ""),
         (0.0, {"trusted": 0.0}, 0.0, {"allow_unconverged": True}, ""),
@@ -759,7 +760,8 @@ def test_the_evaluator_is_a_loop_over_its_inputs(form):
         ({"residual": 0.99e-4}, 0.0),
         ({"J_series": 1.0 - 0.9e-6}, 0.0),
         ({"J_series": 1.0 - 1.1e-6}, 1.0),
-        ({"J_series": 0.5, "horizon": 2.9}, 0.0),  # the cost of the horizon that a late start leaves is not judged
+        # If the start was late, the cost of the remaining horizon is not judged.
+        ({"J_series": 0.5, "horizon": 2.9}, 0.0),
     ],
 )
 def test_the_evaluator_flags_impossible_optima(summary, flag):
@@ -771,9 +773,9 @@ def test_the_evaluator_flags_impossible_optima(summary, flag):
     inputs = {"state": (w, 0.0, 0.0, 0.0, 0.0, 0.0), "command": (0.0,) * 3, "plan": table}
     assert evaluator.update(0, summary=reported, **inputs)["evaluation"][-1] == flag
     assert ("infeasible" in evaluator.reports) is bool(flag)
-    evaluator.update(1, summary=about(residual=0.5), **inputs)  # a second plan is not judged, only shown
+    evaluator.update(1, summary=about(residual=0.5), **inputs)  # the second plan is shown, not judged
     assert (evaluator.status()["infeasible"][0], evaluator.status()["residual"][0]) == (flag, 0.5)
-    evaluator.block.ages = {"plan": 0, "summary": 1}.get  # two messages that do not belong together
+    evaluator.block.ages = {"plan": 0, "summary": 1}.get  # plan and summary have different times
     evaluator.update(2, summary=about(residual=0.7), **inputs)
     assert evaluator.status()["residual"][0] == 0.5
 

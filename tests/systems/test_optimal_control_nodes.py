@@ -116,7 +116,7 @@ def test_diagnostics_name_alpha_and_the_costs_of_all_orders():
     assert len(health["J per order"].split()) == len(health["ratio per order"].split()) == 8
     assert health["order of the paper's rule"] == "5"
     assert "converged" in health["reason"]
-    assert "stages" not in health["reason"]  # the last order reaches the tolerance, though the first ones do not
+    assert "stages" not in health["reason"]  # the last order meets the tolerance, though the first orders do not
 
 
 def test_orders_rise_until_the_rule_is_met():
@@ -211,9 +211,10 @@ def test_a_plan_that_arrives_ticks_after_its_stamp_is_played():
     plan, summary = planned()
     player = ByHand(OcpPlayer())
     player.block.ages = lambda name: {"plan": None, "summary": 2 * S}.get(name)
-    assert player.update(2 * S, state=STATE, plan=plan, summary=summary)["command"] == (0.0, 0.0, 0.0)  # half of it
+    # Of plan and summary only the summary has arrived.
+    assert player.update(2 * S, state=STATE, plan=plan, summary=summary)["command"] == (0.0, 0.0, 0.0)
     player.block.ages = lambda name: 3 * S
-    elsewhere = (0.02, *STATE[1:])  # the state at that time
+    elsewhere = (0.02, *STATE[1:])  # the state at 3 s
     command = player.update(3 * S, state=elsewhere, plan=plan, summary=summary)["command"]
     assert command == pytest.approx(solution(3.5)[6:], rel=1e-12)
 

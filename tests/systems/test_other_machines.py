@@ -45,7 +45,7 @@ def test_a_motor_of_a_data_sheet_runs_at_its_no_load_point():
     result = simulate("dc_motor_smc_re40").figures
     speed = k * V / (R * b + k * k)
     assert result["final_speed"] == pytest.approx(speed, rel=1e-6)
-    assert speed == pytest.approx(7580 * np.pi / 30, rel=1e-3)  # 1/min of the data sheet
+    assert speed == pytest.approx(7580 * np.pi / 30, rel=1e-3)  # 1/min, from the data sheet
     assert result["no_load_current"] == pytest.approx(b * speed / k, rel=1e-6)
     poles = np.roots([p["J"] * p["L"], R * p["J"] + p["L"] * b, R * b + k * k]).real
     fast, slow = poles
@@ -71,10 +71,11 @@ def test_the_controller_of_a_motor_computes_its_model():
     w = r - solve_ivp(rate, (0.0, 0.06), [r, c * r], t_eval=t, rtol=1e-9, atol=1e-6).y[0]
     crossing = [np.interp(level * r, w, t) for level in (0.1, 0.9, 0.98)]
     result = simulate("dc_motor_smc_re40_law").figures
-    assert result["rise_time"] == pytest.approx(crossing[1] - crossing[0], rel=0.01)  # sampled
+    assert result["rise_time"] == pytest.approx(crossing[1] - crossing[0], rel=0.01)  # 1 % for the sampling
     assert result["settling_time"] == pytest.approx(crossing[2], rel=0.01)
     printed = simulate("dc_motor_smc_re40_law", overrides={"dc_motor_smc.model": "printed"}).figures
-    assert abs(printed["rise_time"] - result["rise_time"]) > 0.1 * result["rise_time"]  # the paper's model misses it
+    # The paper's rounded model misses this time.
+    assert abs(printed["rise_time"] - result["rise_time"]) > 0.1 * result["rise_time"]
 
 
 def test_an_axis_has_the_requested_poles():
@@ -82,7 +83,7 @@ def test_an_axis_has_the_requested_poles():
     law = parameters("dc_motor_fsfb_ctms", "fsfb_controller")
     assert law["pole"] == pytest.approx(b / J + K * K / (R * J), rel=1e-6)
     assert law["gain"] * 140.0 / 12.0 == pytest.approx(K / (R * J) * lead / (2 * np.pi), rel=1e-6)
-    pole, g, T, r = b / J + K * K / (R * J), K / (R * J) * lead / (2 * np.pi), 0.01, 10.0  # 1/s, mm/s^2 V, s, mm
+    pole, g, T, r = b / J + K * K / (R * J), K / (R * J) * lead / (2 * np.pi), 0.01, 10.0  # 1/s, mm/(s^2 V), s, mm
     _, a2, a1, a0 = np.poly(law["poles"])
     v = y = xi = 0.0
     motion = [0.0]
@@ -107,7 +108,7 @@ def test_poles_change_while_the_axis_rests_without_a_bump(tmp_path):
         "changes: [{at: 3.0, set: {fsfb_controller.poles: [-8.0, -16.0, -60.0]}}]\n"
         "figures: {bump: {function: peak, arguments: {signal: $position, reference: 10.0, start: 2.9}}}\n"
     )
-    assert simulate(tmp_path / "axis.yaml").figures["bump"] <= 0.005  # mm, a count
+    assert simulate(tmp_path / "axis.yaml").figures["bump"] <= 0.005  # mm, one count
 
 
 def test_poles_that_cannot_be_placed_are_refused():
@@ -127,7 +128,7 @@ def test_an_induction_machine_of_a_t_circuit_draws_its_current():
     torque, speed, flux = 20.0 + p["B"] * 100.0, 100.0, 0.95
     L = L_m + leak
 
-    def steady(slip):  # T circuit in the frame of the stator's flux; per phase peak
+    def steady(slip):  # T circuit in the frame of the stator flux; peak values of a phase
         matrix = np.array([[L, L_m], [1j * slip * L_m, R_r + 1j * slip * L]])
         i_s, _ = np.linalg.solve(matrix, [flux, 0.0])
         return i_s, 1.5 * 2 * flux * i_s.imag
@@ -154,11 +155,12 @@ def test_phases_of_a_linear_motor_pull_as_the_relay_of_the_textbook():
         i = run.signals[f"phase_currents/{phase}/position"][1]
         F = run.signals[f"force_phases/{phase}/effort"][1]
         xi = (x - 0.1 * k + 0.2) % 0.4 - 0.2
-        inside = (xi > -0.157) & (xi < -0.013) & (i > 0.5)  # overlap without its rounded ends
+        inside = (xi > -0.157) & (xi < -0.013) & (i > 0.5)  # the ramp without its rounded ends
         on_ramp += inside.sum()
         assert np.allclose(F[inside], 0.5 * G * i[inside] ** 2, rtol=1e-9)
     assert on_ramp > 10_000
-    assert run.figures["mean_force"] == pytest.approx(2500.0 * 0.2, rel=2e-3)  # at a constant speed: the load's
+    # At constant speed the force equals the load.
+    assert run.figures["mean_force"] == pytest.approx(2500.0 * 0.2, rel=2e-3)
 
 
 # power ------------------------------------------------------------------------------------------------------------
@@ -188,7 +190,8 @@ def test_a_string_of_other_modules_gives_its_maximum():
     assert result["power"] == pytest.approx(best, rel=0.005)
     I_sc, I_0, aVt = curve(25.0)
     U = 26.3 + m["R_s"] * 7.61
-    assert I_sc - I_0 * np.expm1(U / aVt) - U / m["R_p"] == pytest.approx(7.61, rel=0.01)  # the data sheet's maximum
+    # The maximum power point of the data sheet.
+    assert I_sc - I_0 * np.expm1(U / aVt) - U / m["R_p"] == pytest.approx(7.61, rel=0.01)
 
 
 @pytest.mark.long
@@ -233,7 +236,7 @@ def long_line(r, x, b, length):
 
 def test_a_500_kv_line_carries_its_current_and_its_fault_is_found():
     result = simulate("fault_location_500kv").figures
-    assert abs(result["error"]) <= 5.0  # m of 130 km
+    assert abs(result["error"]) <= 5.0  # m, on a line of 130 km
     Y = long_line(0.028, 0.325, 5.20e-6, 200.0) + np.eye(2) / complex(1.31, 15.0)
     E = 500e3 * np.sqrt(2 / 3) * np.exp(1j * np.radians([0.0, -10.0]))
     U = np.linalg.solve(Y, E / complex(1.31, 15.0))
@@ -295,7 +298,7 @@ def test_another_rectifier_answers_its_commands_as_its_equations():
 
     x, seen = np.array([i0, 0.0, 650.0]), [650.0]
     step_at = load_scenario("rectifier_mpc_10kva").nodes["event_source"].parameters["times"][1]
-    for at, u in zip(t[:361], command[:361], strict=True):  # 0.3 s: the step and its answer
+    for at, u in zip(t[:361], command[:361], strict=True):  # the first 0.3 s, with the step and its response
         load = 70.4 if at + 1e-9 < step_at else 42.25
         x = solve_ivp(rate, (0.0, T), x, args=(u, load), rtol=1e-8, atol=1e-8).y[:, -1]
         seen.append(x[2])
@@ -343,7 +346,7 @@ def test_the_arm_of_the_textbook_has_the_voltages_of_its_equations():
         for what in ("position", "velocity")
     )
     qdd = np.gradient(qd, t, axis=0)
-    # 50 kg a link, 0.5 m to its centre, 10 kg m^2, the second motor of 5 kg at the elbow
+    # Each link has 50 kg, 0.5 m to its centre and 10 kg m^2; the second motor, of 5 kg, is at the elbow.
     centre = (50 * 0.5 + 5 * 1.0) / 55
     inertia = 10 + 50 * (0.5 - centre) ** 2 + 5 * (1 - centre) ** 2
     motors = (10.0, 2.0, 2.0, 0.01, 0.01, 0.01)
@@ -405,7 +408,8 @@ def test_another_leg_is_displaced_by_its_impedance():
 
     masses, centres = (0.100 * M, 0.061 * M), (0.433 * thigh, 0.606 * leg)
     inertias = (masses[0] * (0.323 * thigh) ** 2, masses[1] * (0.416 * leg) ** 2)
-    motors = (4.0, 4.32, 0.287, 1 / 16, 2e-4, 1e-3)  # the rotors, which the paper does not print, as chosen
+    # The paper does not print the rotors; these are the scenario's values.
+    motors = (4.0, 4.32, 0.287, 1 / 16, 2e-4, 1e-3)
     expected = voltages(q_d, rate, acceleration, (masses, thigh, centres, inertias), motors, friction, False)
     quiet = (t > 3.0) & (t < 5.0)
     for k, joint in enumerate(joints):
@@ -448,7 +452,7 @@ def test_another_spacecraft_has_the_cost_that_scipy_finds():
     w0 = np.radians([0.53, 0.53, 0.053])
     result = simulate("optimal_control_mvim_wie").figures
     assert result["J_exact"] == pytest.approx(np.sum((I * w0) ** 2) / 200.0, rel=1e-12)
-    # the torque that turns the momentum's size straight to zero, applied to Euler's equations
+    # The torque that reduces the size of the momentum linearly to zero, in Euler's equations.
     H = np.linalg.norm(I * w0)
 
     def slopes(t, x):

@@ -57,7 +57,7 @@ def string(irradiance, temperature=ROOM):
 
 def duty_for(p, R):
     """Duty under which the source sees R in steady state, the inverse of `seen_resistance`."""
-    # (R_L - R) d^2 - 2 R_L d + (R_L + r) = 0, the root below 1; written so that R = R_L is no special case
+    # The root below 1 of (R_L - R) d^2 - 2 R_L d + (R_L + r) = 0, in a form that also holds for R = R_L.
     return (p.R_L + p.r) / (p.R_L + math.sqrt(p.R_L**2 - (p.R_L - R) * (p.R_L + p.r)))
 
 
@@ -72,7 +72,7 @@ def result(name, seed=None):
 
 # the string -----------------------------------------------------------------------------------------------------
 
-PEAKS = {  # a reference calculation: W, V, duty of the peak; None where it gives none
+PEAKS = {  # power (W), voltage (V) and duty of each peak by a reference calculation; None where it lists none
     PATTERN1: [(51.493, None, 0.7516), (96.421, 33.35, 0.6416), (116.460, 52.94, 0.5510), (107.980, 73.34, 0.4590)],
     PATTERN2: [(51.493, None, 0.7516), (96.421, None, 0.6416), (98.224, 53.59, 0.5264), (81.079, None, 0.4221)],
     FIG4: [(51.493, None, None), (101.609, None, None), (134.281, 52.35, 0.5717), (82.112, None, None)],
@@ -114,7 +114,7 @@ def test_module_at_standard_conditions():
 @pytest.mark.timeout(20)
 def test_currents_too_large_for_the_fine_tolerance_are_found():
     c = cell(ModuleParams(V_oc=0.001, R_s=2.35e-6, R_p=1e12), 1000.0, 25.0)
-    actual = c.current(-0.8)  # thousands of A, whose neighbours are further apart than 1e-14 A
+    actual = c.current(-0.8)  # at thousands of A, neighbouring doubles differ by more than 1e-14 A
     junction = -0.8 + c.R_s * actual
     assert actual > 1e3
     assert c.I_ph - c.I_0 * math.expm1(junction / c.aV_t) - junction / c.R_p == pytest.approx(actual, rel=1e-12)
@@ -289,7 +289,7 @@ def test_firefly_evaluations():
 # scenarios ------------------------------------------------------------------------------------------------------
 
 
-# the paper's law, its baselines, a change of light and the certified search are daily
+# The paper's law, its baselines, a change of light and the certified search run daily.
 LATER = {
     f"pv_mppt_{n}"
     for n in ("s4_pattern2", "s5_certified_transients", "s5_issa", "s6", "s6_no_rescan", "s7", "switched", "kc200gt")
@@ -355,7 +355,7 @@ def test_a_hidden_change_is_found():
 
 
 DAILY = ["issa"]
-OTHERS = [  # a sweep sees each voltage once
+OTHERS = [  # includes a sweep, which passes each voltage once
     "certified",
     "pso",
     "ssa",
@@ -386,19 +386,21 @@ def test_light_that_returns_during_a_search_starts_another(algorithm):
         return restarts[-1], any(actual[k] < best / 1.04 for k in (*ends, -1))
 
     count, missed = searches(tuple(0.7 * g for g in PATTERN1))
-    # detected when the light falls, when it returns, or both
+    # The change is detected when the light falls, when it returns, or both times.
     assert count in ((1.0, 2.0, 3.0) if missed else (1.0, 2.0))
     for noise in (0.0, 0.005):
         count, missed = searches(PATTERN1, **{"pv_plant.noise": noise})
         assert (count > 0.0) == missed
 
 
-CLOUDS = [  # light while it passes, from when to when, s
+CLOUDS = [  # irradiance during the cloud, and its begin and end in s
     ((285.0, 292.0, 89.0, 164.0), 0.68, 1.171),
-    ((504.0, 577.0, 299.0, 583.0), 0.05, 0.186),  # a proof of 108.99 W was of both lights
-    ((910.0, 123.0, 309.0, 641.0), 1.868, 1.999),  # nothing that the search asks for shows the light of its beginning
-    ((305.0, 185.0, 242.0, 973.0), 0.333, 0.929),  # a ramp is done within it: 51.4 W as before, where there are 116.5
-    ((400.0, 880.0, 944.0, 491.0), 0.958, 1.114),  # what is there later differs by little but in its largest power
+    ((504.0, 577.0, 299.0, 583.0), 0.05, 0.186),  # samples of both lights would prove a bound of 108.99 W
+    # No later candidate shows that the light has changed since the start.
+    ((910.0, 123.0, 309.0, 641.0), 1.868, 1.999),
+    # A ramp ends within the cloud, and the search would stay at 51.4 W of 116.5 W.
+    ((305.0, 185.0, 242.0, 973.0), 0.333, 0.929),
+    ((400.0, 880.0, 944.0, 491.0), 0.958, 1.114),  # the later characteristic differs mainly in its largest power
 ]
 
 
@@ -431,7 +433,7 @@ def test_a_cloud_during_a_search_is_noticed(algorithm, cloud):
     """The maximum after it, and no proven bound below the actual power."""
     powers, states = after_a_cloud(algorithm, *cloud, 2.5)
     best = string(PATTERN1).gmpp.p
-    # the search may have restarted
+    # The search may have restarted.
     assert 0.997 * best < np.median(powers[-300:]) <= powers.max() <= best * (1.0 + 1e-9)
     seen = states[20:]
     assert not np.any((seen[:, 0] == 2.0) & (seen[:, 5] > 0.0) & (seen[:, 5] < best))
@@ -633,7 +635,7 @@ def test_a_search_interrupted_by_darkness_starts_again_in_the_light(algorithm, d
     assert actual[-1][3] == 1.0
     assert power > 0.98 * 116.46
     if algorithm == "issa":
-        assert actual[-1][2] == 44.0  # all modules are lit
+        assert actual[-1][2] == 44.0  # 44 V, because all modules are lit
 
 
 def test_a_search_in_the_dark_pauses_at_open_circuit():
@@ -674,7 +676,7 @@ def test_the_proven_bound_is_withdrawn_when_the_light_changes(algorithm):
         assert bounds[-1] == 0.0 or bounds[-1] >= string(PATTERN2).gmpp.p
     assert bounds[1500] >= true
     assert bounds[-1] == 0.0
-    # more light: the true maximum is above the bound that was proven
+    # More light moves the true maximum above the proven bound.
     _, states, tracker = in_changing_light(lambda s: (1000.0,) * 4 if s >= 1.6 else PATTERN1, 2.4, **values)
     assert (states[1500][5] >= true, states[-1][5]) == (True, 0.0)
     assert tracker.reports["proof"][::2] == (Level.WARN, 1)

@@ -51,7 +51,7 @@ def test_the_junction_voltage_and_its_slope_by_scipy(c):
     wanted = [brentq(lambda u, k=k: of(u) - k, -2e4, 40.0, xtol=1e-12) for k in i]
     top = c.start(i)
     assert (top >= np.array(wanted) - 1e-9).all()
-    # either all through the diode, or all through the resistance: the lower of the two
+    # The bound assumes that all current flows through the diode, or all through the resistance; the lower one holds.
     for k, bound in zip(i, top, strict=True):
         remaining = c.I_ph - k
         diode = c.aV_t * math.log1p(remaining / c.I_0) if remaining > 0.0 else math.inf
@@ -75,7 +75,7 @@ def test_the_circuit_of_a_module_follows_light_and_temperature():
 # The string ----------------------------------------------------------------------------------------------
 
 
-# power 0, 4, 9, 8, 9.6, 10, 6, 0: tops at 3 and 6 V, a dip at 4 V
+# Powers 0, 4, 9, 8, 9.6, 10, 6, 0: maxima at 3 and 6 V, a minimum at 4 V.
 STEPS = Characteristic(np.arange(-1.0, 9.0), np.array([5.0, 4.5, 4.0, 3.5, 3.0, 2.0, 1.9, 10 / 6, 6 / 7, 0.0]))
 
 
@@ -88,7 +88,7 @@ def test_the_table_as_lines():
     narrow = Characteristic(np.linspace(0.0, 2.0, 5), np.arange(4.0, -1.0, -1.0))
     assert narrow.segments[3] == 2.0
     for v in np.linspace(-3.0, 11.0, 57):
-        k = min(max(math.floor(v + 1.0), 0), 8)  # the end segments go on
+        k = min(max(math.floor(v + 1.0), 0), 8)  # outside the table its end segments continue
         wanted = STEPS.i[k] + (STEPS.i[k + 1] - STEPS.i[k]) * (v - STEPS.v[k])
         assert STEPS.current(v) == pytest.approx(wanted)
         assert string._current.py_func(v, -1.0, 1.0, a, b) == pytest.approx(wanted)
@@ -103,12 +103,13 @@ def test_tops_dips_and_basins():
     assert STEPS.open_circuit == 8.0
     between = Characteristic(np.arange(4.0), np.array([3.0, 2.0, 1.0, -1.0]))
     assert between.open_circuit == 2.5
-    flat = Characteristic(np.array([0.0, 1.0, 2.0, 3.0, 4.0]), np.array([8.0, 6.0, 3.0, 1.0, 0.0]))  # 0, 6, 6, 3, 0
-    assert flat.peaks == [Peak(1.0, 6.0, 6.0)]  # the first of equal powers
+    # Powers 0, 6, 6, 3, 0.
+    flat = Characteristic(np.array([0.0, 1.0, 2.0, 3.0, 4.0]), np.array([8.0, 6.0, 3.0, 1.0, 0.0]))
+    assert flat.peaks == [Peak(1.0, 6.0, 6.0)]  # the first of equal powers counts
     dark = Characteristic(np.array([-1.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0]))
     assert (dark.peaks, dark.valleys, dark.gmpp, dark.basin(3.0)) == ([], [], Peak(0.0, 0.0, 0.0), 0)
     reverse = Characteristic(np.array([-3.0, -2.0, -1.0, 0.0, 1.0]), np.array([1.0, 3.0, 1.0, 1.0, 0.5]))
-    assert reverse.peaks == []  # no top where the voltage or the current is none
+    assert reverse.peaks == []  # a peak needs a positive voltage and current
 
 
 def test_the_point_under_a_load_by_crossing_the_lines():
@@ -140,7 +141,7 @@ def test_the_string_is_the_sum_of_its_modules_or_their_diodes():
 
     for k in (40, 3000, 9000, 15000, 18000, 20000):
         assert volts(source.i[k]) == pytest.approx(source.v[k], abs=1e-6)
-    assert source.i[0] == max(c.current(-0.8) for c in modules)  # from there on all diodes conduct
+    assert source.i[0] == max(c.current(-0.8) for c in modules)  # at higher currents all bypass diodes conduct
 
 
 # The converter -------------------------------------------------------------------------------------------
@@ -349,7 +350,7 @@ def test_a_switched_period_is_one_circuit_after_the_other():
     x = block.first()
     source = characteristic(ModuleParams(), x.conditions[:4], x.conditions[4:])
     circuit, work = x[:3], converter.Converter(ConverterParams())
-    for _ in range(5):  # periods of 20 us, 30 % of each with the switch on, eight steps each
+    for _ in range(5):  # five periods of 20 us with eight steps in each state, and the switch on for 30 %
         circuit = work.step(circuit, source, 1.0, 0.3 * 2e-5 / 8, 8)
         circuit = work.step(circuit, source, 0.0, 0.7 * 2e-5 / 8, 8)
     assert block.advance(x, 0, duty=(0.3,), environment=None)[:3] == pytest.approx(tuple(circuit), rel=1e-12)
@@ -428,7 +429,7 @@ def string_of(monkeypatch):
 
 def test_figures_are_compared_with_the_power_of_the_light_at_each_sample(string_of):
     run = signals([50.0, 100.0, 90.0, 150.0, 200.0, 190.0, 100.0, 99.0, 98.9, 100.0])
-    true = [100.0] * 3 + [200.0] * 3 + [100.0] * 4  # W: what was published before a sample holds at it
+    true = [100.0] * 3 + [200.0] * 3 + [100.0] * 4  # W; a sample sees the last light published before it
     assert [figures.gmpp(run, at=0.1 * k, **string_of) for k in range(10)] == true
     assert [figures.local_maximum(run, at=t, **string_of) for t in (0.0, 0.3, 0.6)] == [40.0, 50.0, 60.0]
     assert figures.efficiency(run, **string_of) == pytest.approx(100.0 * run[figures.POWER][1].sum() / sum(true))

@@ -57,7 +57,7 @@ from softrig_systems.pwa_delay.system import (
 )
 
 NAMES = sorted(n for n in list_scenarios() if n.startswith("pwa_delay"))
-EXACT = 6.17258  # margin of the linear benchmark
+EXACT = 6.17258  # delay margin of the linear benchmark
 
 
 @functools.cache
@@ -72,7 +72,7 @@ def margin(name, low, high, mu=0.0, cell_terms=False, order=0, width=1e-4):
     criterion = Criterion("constant" if order else "theorem1", mu, order or 2, cell_terms)
     certificate = certified_margin(system, criterion, low=low, high=high, width=width)
     assert certificate.valid
-    assert all(e.positive for e in certificate.eigenvalues)  # C4, of every certificate in this file
+    assert all(e.positive for e in certificate.eigenvalues)  # checks C4 for every certificate of this file
     return certificate.h
 
 
@@ -175,7 +175,8 @@ def test_no_certificate_beyond_the_true_margin(make, h, method):
     assert not certify(make(), h, Criterion(method, order=3)).valid
 
 
-OSCILLATOR = linear([[0.0, 1.0], [-4.0, -0.8]], [[0.0, 0.0], [-1.5, -0.6]])  # unstable from 0.81677 to 1.735 s
+# Unstable for delays from 0.81677 to 1.735 s.
+OSCILLATOR = linear([[0.0, 1.0], [-4.0, -0.8]], [[0.0, 0.0], [-1.5, -0.6]])
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
@@ -219,7 +220,7 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
     certificate = certified_margin(OSCILLATOR, criterion, low=0.05, high=3.0, width=1e-2, tell=tried.append)
     assert 0.808 < certificate.h < 0.81677
     assert certificate.shortest == 0.0
-    # without a gap, each step of matrices that meet the inequalities at its both ends and between
+    # The steps cover all delays, and each has matrices that satisfy the inequalities at both ends and between.
     steps, covered = [c for c in tried if c.valid], 0.0
     for step in steps:
         assert step.shortest <= covered < step.h
@@ -230,9 +231,9 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
                 again = bessel_legendre(OSCILLATOR.scaled(d), 2).eigenvalues(step.matrices)
                 assert all(e.positive for e in again), (step.shortest, d)
     assert covered == certificate.h
-    # beyond the first window: the search starts at `low` if it is set and nothing is certified from 0 on
+    # For delays beyond the first window: the search starts at `low` if nothing is certified from 0 on.
     late = linear([[0.0, 1.0], [-2.0, 0.1]], [[0.0, 0.0], [1.0, 0.0]])
-    assert certified_margin(late, criterion) is None  # no delay to start from was set
+    assert certified_margin(late, criterion) is None  # `low` is not set, so the search starts at 0
     late = certified_margin(late, criterion, low=1.0, width=0.1)
     assert late.shortest == 1.0
     assert certified_margin(linear(0.5, 0.2), criterion, low=0.1) is None
@@ -274,7 +275,7 @@ def test_a_damaged_certificate_fails_its_check():
     for name in ("R", "L1", "H0"):
         broken = {**certificate.matrices, name: -certificate.matrices[name]}
         assert not all(e.positive for e in problem.eigenvalues(broken)), name
-    # the matrices of one delay are no certificate of another one far beyond
+    # The matrices of one delay do not certify another one far beyond it.
     assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).eigenvalues(certificate.matrices))
 
 
@@ -322,7 +323,7 @@ def test_no_delay_empties_the_tank_below_its_certified_level(seed):
     assert bound.lowest - 1e-3 <= lowest < 0.5
 
 
-# Which parameter of the tank and its law to change, and to what; all others are in FREE_OF_THE_LEVEL.
+# A changed parameter of the tank or its law; all others are in FREE_OF_THE_LEVEL.
 TANKS = {
     "tank_controller.switch": 0.7,
     "tank_controller.k_low": 0.1,
@@ -334,7 +335,7 @@ TANKS = {
 }
 REFUSED_OF_THE_LEVEL = {"tank_plant.model": "pwa", "tank_plant.A": 20.0, "tank_plant.phi": 500.0,
                         "tank_plant.switch": 0.7, "tank_plant.k_low": 0.1, "tank_plant.k_high": 0.15}  # fmt: skip
-FREE_OF_THE_LEVEL = {  # it holds for any delay up to h; the rest is how a run is computed
+FREE_OF_THE_LEVEL = {  # the bound holds for all delays up to h; the others only affect how a run is computed
     "tank_plant.delay",
     "tank_plant.max_delay",
     "tank_plant.profile",
@@ -453,8 +454,9 @@ def test_the_margin_by_simulation_is_the_first():
 def test_located_switches_converge_and_unlocated_do_not():
     ends = [simulate_pwa(switched(), profile("constant", 0.02), (-2.0, 0.0), 2.0, steps=n).x for n in (50, 200)]
     assert ends[0] == pytest.approx(ends[1], abs=1e-6)
-    assert ends[1] == pytest.approx([1.9811344, 0.1155911], abs=2e-5)  # 6400 steps without location, itself off by 1e-5
-    assert ends[1] == pytest.approx([1.98112413, 0.11559048], abs=3e-7)  # 25,600 steps without location
+    # From 6400 steps without event location, accurate to 1e-5.
+    assert ends[1] == pytest.approx([1.9811344, 0.1155911], abs=2e-5)
+    assert ends[1] == pytest.approx([1.98112413, 0.11559048], abs=3e-7)  # from 25,600 steps without event location
     from softrig_core.kit.dde import integrator
     from softrig_systems.pwa_delay.motion import pwa_slopes
 
@@ -469,7 +471,7 @@ def test_margin_of_the_pendulum(sine):
         p = {h: PendulumConstants(1.0, 1.0, np.array([FREE]), profile("constant", h)) for h in (0.40, 0.42)}
         runs = [search._run(run_pendulum, c, [1.0, 0.0, 0.0], h, 400.0, 100) for h, c in p.items()]
         rates = [growth_rate(run) for run in runs]
-        assert rates[0] < -0.01 < rates[1]  # beyond 0.4149 its amplitude stays, sin bounds it
+        assert rates[0] < -0.01 < rates[1]  # beyond 0.4149 the amplitude stays constant, as sin bounds it
         return
     result = pwa_margin(pendulum(), 0.40, 0.43, (1.0, 0.0), 200.0, width=1e-4)
     assert result.h == pytest.approx(0.4192, abs=0.001)
@@ -478,11 +480,11 @@ def test_margin_of_the_pendulum(sine):
 @pytest.mark.long
 def test_margin_of_the_pendulum_by_growth():
     result = pwa_margin(pendulum(), 0.417, 0.421, (1.0, 0.0), 3200.0, width=1e-7)
-    assert result.h == pytest.approx(0.4192648, abs=1e-6)  # towards 0.4192653 as runs get longer
+    assert result.h == pytest.approx(0.4192648, abs=1e-6)  # approaches 0.4192653 for longer runs
 
 
 def test_margins_of_linear_systems_are_exact():
-    # as the literature has it; the margin follows from its second state alone
+    # The published matrices; the margin depends only on the second state.
     assert BENCHMARK == ([[-2.0, 0.0], [0.0, -0.9]], [[-1.0, 0.0], [-1.0, -1.0]])
     result = pwa_margin(linear(*BENCHMARK), 6.0, 6.4, (1.0, 1.0), 1500.0, width=1e-4)
     assert result.h == pytest.approx(EXACT, abs=2e-4)
@@ -529,7 +531,7 @@ def test_motion_agrees_with_an_adaptive_solver_of_delay_equations(tmp_path, monk
 # C7: over topics; C8
 
 
-# the certified margin alone is judged without a rig above; the tank under other delays differs in numbers only
+# The rigless test above judges the certified margin; the tank under other delays differs only in numbers.
 SLOW = {f"pwa_delay_{n}" for n in (
     "growth_pendulum", "margin", "margin_certified", "margin_constant", "margin_scalar", "margin_user", "p2_d4",
     "p2_sine", "p2_telegraph", "p2c_constant", "p3", "p3_nonlinear", "p3_sine", "p3_unstable", "hayes", "hayes_beyond",
@@ -611,7 +613,7 @@ def test_sliding_is_found_and_crossing_is_not():
         certify(slides, 0.1)
     require_no_sliding(switched(), 0.02)
     along = from_lines([np.zeros((2, 2))] * 2, [[[0.0, 0.0], [-1.0, 0.0]]] * 2, [[1.0, 0.0]])
-    require_no_sliding(along, 0.1)  # the motion does not cross the face
+    require_no_sliding(along, 0.1)  # the motion is parallel to the face
 
 
 def test_an_offset_that_a_shift_removes_is_accepted():
@@ -696,7 +698,7 @@ def test_an_empty_tank_stays_empty_and_reports_it():
 @pytest.mark.parametrize(("start", "a"), [(0.3, 0.4875), (-0.3, 0.825)])
 def test_a_pendulum_without_commands_swings_by_its_slope(start, a):
     plant, w = ByHand(PendulumPlant(x0=(start, 0.0))), math.sqrt(a)
-    seconds = 0.9 * math.pi / 2.0 / w  # in one cell
+    seconds = 0.9 * math.pi / 2.0 / w  # the motion stays in one cell
     for k in range(round(seconds / plant.params.period)):
         plant.advance(k, torque=(0.0,))
         t = (k + 1) * plant.params.period
@@ -738,7 +740,7 @@ def test_a_change_of_the_delay_moves_the_margin():
     t, x = run.signals["pwa/state/x1/position"]
     assert run.signals["pwa/mode/delay/position"].x[[0, -1]].tolist() == [1.5, 1.65]
     early, late = (np.abs(x[(t > at) & (t < at + 10.0)]).max() for at in (60.0, 100.0))
-    # the growth of the peaks between two windows
+    # The peaks grow at this rate from one window to the next.
     assert math.log(late / early) / 40.0 == pytest.approx(0.021239, abs=2e-3)
 
 
@@ -746,7 +748,7 @@ def test_a_change_of_the_delay_moves_the_margin():
 def test_controllers_hold_their_command_without_a_state(controller):
     law = ByHand(controller())
     law.update(0, **({"level": (0.4,)} if controller is TankController else {"state": (0.2, 0.1)}))
-    assert law.refused(0) is None  # the last output is held
+    assert law.refused(0) is None  # the controller holds its last output
     what, held = ("level", "inflow") if controller is TankController else ("state", "torque")
     assert law.reports == {f"bad_{what}": (Level.ERROR, f"no valid {what}: the last {held} is held", 1)}
 

@@ -117,7 +117,7 @@ def test_the_criterion_of_constant_delays_is_the_derivative_of_its_functional(or
     problem = bessel_legendre(system, order, shortest=shortest, cell_terms=True)
     matrices = unknowns(problem, rng)
     L, Q, R = (matrices[k] for k in "LQR")
-    scaled = shortest > 0.0  # time in delays: the window is 1 and the slope d times that of the system
+    scaled = shortest > 0.0  # with scaled time the delay is 1, and slopes grow by d
     window, weight = (1.0, 1.0) if scaled else (d, d)
 
     def falls(i):
@@ -257,7 +257,7 @@ def test_a_linear_matrix_inequality_is_solved_and_checked():
     solution = p.solve()
     assert (solution.status, solution.t) == ("Solved", pytest.approx(250.0, rel=1e-5))
     assert solution.matrices["X"] == pytest.approx(250.0 * np.eye(4), abs=1e-2)
-    p = Problem()  # 10 X >= t of a trace of 1000 and X - Y >= t: with entries of Y from 0 on that does not help
+    p = Problem()  # 10 X >= t with a trace of 1000, and X - Y >= t; Y >= 0 does not help
     p.symmetric("X", 2)
     p.symmetric("Y", 2, positive=True)
     p.positive("10 X", [quadratic("X", np.eye(2), 10.0)], traced=True)
@@ -279,7 +279,7 @@ def test_a_linear_matrix_inequality_is_solved_and_checked():
         total = total + total.T
         (solution,) = p.eigenvalues(m)
         assert (solution.smallest, solution.largest) == near(tuple(np.linalg.eigvalsh(total)[[0, -1]]))
-        # the solver's columns: the upper triangle, what is beside the diagonal times the root of 2
+        # Columns of the solver: the upper triangle, with off-diagonal entries times the square root of 2.
         parts = p._coefficients(p.inequalities[0])
         entries = {"S": [m["S"][a, b] for b in range(3) for a in range(b + 1)], "M": m["M"].ravel()}
         triangle = sum(parts[k] @ np.array(entries[k]) for k in m)
@@ -307,10 +307,10 @@ def test_the_largest_delay_is_found_by_doubling_and_bisection():
     result = _bisect(ask, made(0.25, True), 0.25, 1e-3, 1e9)
     assert asked[:6] == [0.5, 1.0, 2.0, 1.5, 1.25, 1.375]
     assert 1.3 * (1.0 - 1e-3) <= result.h <= 1.3
-    assert len(asked) == 3 + 10  # the gap of 1 in ten halves is 1/1024 of it
+    assert len(asked) == 3 + 10  # ten halvings reduce the gap of 1 to 1/1024
     endless = _bisect(lambda h, shortest=None: made(h, True), made(1.0, True), 1.0, 1e-3, 100.0)
-    assert endless.h == 64.0  # 128 is beyond what is asked for
-    # one halving is enough
+    assert endless.h == 64.0  # the next value, 128, exceeds the limit of 100
+    # One halving is enough.
     assert _bisect(lambda h, shortest=None: made(h, h < 1.5), made(1.0, True), 1.0, 0.5, 9.0).h == 1.0
 
 
@@ -349,7 +349,7 @@ def test_a_margin_is_searched_from_the_certified_delay(monkeypatch):
 
         monkeypatch.setattr(certifying, "certify", certified)
 
-    system = linear(-1.0, -1.0)  # its fastest time is 1/2 s
+    system = linear(-1.0, -1.0)  # its shortest time constant is 1/2 s
     for options, first in (({}, 0.5), ({"high": 0.2}, 0.2), ({"low": 0.1, "high": 0.2}, 0.1)):
         replaced(0.3)
         asked.clear(), sliding.clear()
@@ -359,7 +359,8 @@ def test_a_margin_is_searched_from_the_certified_delay(monkeypatch):
         assert 0.3 * (1.0 - 1e-3) <= certificate.h <= 0.3
         assert [c.h for c in messages] == asked
         assert sliding == [options.get("high", 1e-9), certificate.h]
-    replaced(math.inf)  # stable for every delay: doubled up to a billion fastest times, walked until beyond that
+    # Stable for every delay: one search doubles up to a billion time constants, the other steps beyond that.
+    replaced(math.inf)
     assert certified_margin(system).h == 2.0**28
     assert certified_margin(system, Criterion("constant")).h == 2.0**29
     replaced(-1.0)
@@ -368,7 +369,7 @@ def test_a_margin_is_searched_from_the_certified_delay(monkeypatch):
     assert certified_margin(system, Criterion("constant"), low=0.2) is None
     assert certified_margin(system, low=1.05e-6 * 0.5 * 1024) is None
     assert asked[-1] == pytest.approx(1.05e-6 * 0.5)
-    replaced(0.3, least=0.1)  # nothing is certified from no delay on, but 0.2 s is
+    replaced(0.3, least=0.1)  # delays below 0.1 s are not certified, so no search from zero succeeds
     assert certified_margin(system, low=0.2) is None
     assert certified_margin(system, Criterion("constant")) is None
 
@@ -391,7 +392,7 @@ def test_delays_that_cannot_be_certified_are_refused(h, options, text):
 
 def test_the_coverage_of_a_certificate():
     system = linear(-1.0, 0.5)
-    assert certify(system, 1.0, shortest=0.5)[7] == 0.0  # Theorem 1: from no delay on
+    assert certify(system, 1.0, shortest=0.5)[7] == 0.0  # Theorem 1 covers all delays from zero on
     constant = Criterion("constant", order=1)
     assert [certify(system, 1.0, constant, shortest=s).shortest for s in (None, 0.0, 0.5, 1.0)] == [1.0, 0.0, 0.5, 1.0]
     assert certify(system, 1.0, constant).valid
@@ -453,7 +454,8 @@ def test_the_first_of_two_margins_by_growth_is_found():
 def test_the_growth_of_a_run_is_the_slope_of_its_maxima():
     t = np.arange(1, 4001) * 0.01
     for rate in (-0.2, 0.3):
-        sizes = np.exp(rate * t) * np.abs(np.cos(3.0 * t)) * np.where(t < 15.0, 9.0, 1.0)  # only the second half counts
+        # Only the second half of the run counts.
+        sizes = np.exp(rate * t) * np.abs(np.cos(3.0 * t)) * np.where(t < 15.0, 9.0, 1.0)
         assert growth_rate(Run(t, sizes, np.zeros(1), 0)) == pytest.approx(rate, abs=1e-3)
     flat = np.array([0, 0, 0, 0, 1, 1, 0, 2, 2, 1, 0, 4, 0, 0.0])  # the last sample of a flat peak counts
     run = Run(np.arange(14.0), np.concatenate([np.zeros(14), flat])[14:], np.zeros(1), 0)
@@ -488,7 +490,8 @@ def test_the_bound_of_the_level_is_its_integral(start):
 
 
 def test_no_level_is_bounded_if_the_drain_is_as_large_as_the_inflow():
-    for c, bounded in ((0.1, False), (0.0999, True)):  # the drain c * 0.5 equals the inflow 0.2 * 0.25, or is smaller
+    # The drain c * 0.5 is equal to the inflow 0.2 * 0.25, or smaller.
+    for c, bounded in ((0.1, False), (0.0999, True)):
         result = level_bound(0.0, s=0.25, kL=0.2, c=c)
         assert result[:2] == ((0.25, 0.25) if bounded else (0.0, 0.25))
         assert result.certified is bounded
@@ -506,7 +509,7 @@ def test_delays_over_time():
     for t in np.linspace(0.0, 60.0, 97):
         assert delay_at(sine, t) == near(0.2 * (1.0 + math.sin(2.0 * 0.7 * t / 0.4)))
         assert delay_at(jumps, t) == (0.25 if sum(c <= t for c in times) % 2 == 0 else 0.0)
-    assert delay_at(jumps, times[0]) == 0.0  # a jump at t itself has happened
+    assert delay_at(jumps, times[0]) == 0.0  # a jump at time t counts at t
     assert profile("telegraph", 0.0, horizon=5.0).changes.tolist() == [0.0]
     assert profile("sine", 0.0, 0.0)[:3] == (1.0, 0.0, 0.0)
     with pytest.raises(ValueError, match=r"^delay h = 1.0 s, mu = inf: expected finite values, not negative$"):
@@ -624,7 +627,7 @@ def test_invalid_systems_are_refused():
             PwaSystem(**values)
     split = PwaSystem(**(both | {"E": half, "e": offset}))
     assert split.faces() == [(0, 0, 1), (1, 0, 0)]
-    # on a face between two cells the first one is used
+    # On a face between two cells the first cell counts.
     assert (split.cell(np.zeros(1), np.ones(1)), split.cell(-np.ones(1), np.ones(1))) == (0, 1)
     away = PwaSystem(**(both | {"E": half, "e": (np.full(1, -0.3), np.full(1, 0.3))}))
     with pytest.raises(NotApplicable, match=r"^a cell does not hold the origin; conditions"):
@@ -644,7 +647,7 @@ def test_the_reason_why_a_system_has_no_criterion_is_named():
     require_no_sliding(
         from_lines([np.zeros((2, 2))] * 2, [np.zeros((2, 2))] * 2, (), across, a=[[1.0, 0.0], [-1.0, 0.0]]), 0.1
     )
-    for scale in (1.0, 3e-10, 1e-14):  # an offset that no shift removes is reported in any unit
+    for scale in (1.0, 3e-10, 1e-14):  # An offset that no shift can remove is reported, whatever its unit.
         with pytest.raises(NotApplicable, match=r"^no equilibrium: the offset"):
             require_equilibrium(
                 from_lines([-np.eye(2)] * 2, [np.zeros((2, 2))] * 2, across, a=[[scale, 0.0], [3.0 * scale, 0.0]])
@@ -655,7 +658,7 @@ def test_the_reason_why_a_system_has_no_criterion_is_named():
             )
             with pytest.raises(NotApplicable, match=r"^(sliding|repelling) on the face"):
                 require_no_sliding(system, 0.1)
-    # a shift of the origin to the equilibrium (1, 0), for all cells the same
+    # The equilibrium (1, 0) of all cells is moved to the origin.
     A, Ad = [[0.0, 1.0], [-2.0, -1.0]], [[0.0, 0.0], [-1.0, 0.0]]
     shifted = require_equilibrium(from_lines([A], [Ad], a=[[0.0, 3.0]]))
     assert [a.tolist() for a in shifted.a] == [[0.0, 0.0]]
@@ -677,7 +680,7 @@ def test_systems_are_given_by_name_and_by_their_numbers():
         system = p.build()
         assert (system.n, system.cells, p.states) == (n, cells, n)
     tank, smooth = SystemParams(system="tank").build(), SystemParams(system="continuous_tank").build()
-    drains = [(8.6928e-4, 2.1732e-4), (5.0188e-4, 3.7641e-4)]  # of two slopes, about a level of 0.5
+    drains = [(8.6928e-4, 2.1732e-4), (5.0188e-4, 3.7641e-4)]  # drains of both slopes, linearised at the level 0.5
     assert [m.item() for m in tank.A] == [-slope_ for slope_, _ in drains]
     assert [m.item() for m in tank.Ad] == [0.2, -0.1]
     assert [a.item() for a in tank.a] == near(
@@ -812,11 +815,10 @@ def test_a_monitor_publishes_once_its_record_is_complete():
     assert reported
     _, outputs = monitor.block.update(monitor.x, 0, state=(9.0,), mode=(0.0, 0.66), matrices=matrices, verdict=verdict)
     rows, rates = np.array([*record[-64:], 9.0]), np.array([*slopes[-64:], -0.64 * record[-66]])
-    assert outputs["value"][0] == near(
-        functional(system, m, rows[:, None], rates[:, None], 1.0)
-    )  # the value stays within the bound
+    assert outputs["value"][0] == near(functional(system, m, rows[:, None], rates[:, None], 1.0))
     assert monitor.refused(0) == {}
-    assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=matrices, verdict=verdict) == {}  # from anew
+    # After the refused tick its record starts again.
+    assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=matrices, verdict=verdict) == {}
     for h, coarse in ((0.64, False), (0.63, True)):
         other = ByHand(LyapunovMonitor(system="scalar", period=0.01))
         other.update(0, state=(1.0,), mode=(0.0, 0.3), matrices=matrices, verdict=(h, *verdict[1:]))

@@ -10,7 +10,7 @@ import pytest
 from softrig_systems.pwa_delay.proof.certify import Criterion, certify
 from softrig_systems.pwa_delay.system import from_lines, switched
 
-BITS = 44  # the solver's matrices are rounded to multiples of 2**-44, far below its margin t of 7e-9
+BITS = 44  # The solver's matrices are rounded to multiples of 2**-44, far below their margin t of 7e-9.
 TALL, WIDE = [[0, 5], [-1, 0]], [[0, 1], [-5, 0]]
 LINES = [[1, -1], [1, 1]]
 
@@ -39,7 +39,7 @@ def cells(both):
     """Return the rows of each cell's conditions, its hinges, and its matrix of the delayed state, of P1."""
     zero = [[0, 0]] * 2
     rows = [[*now, *late] for now, late in zip(LINES, zero, strict=True)]
-    if both:  # cells by the signs of the delayed state, too
+    if both:  # the signs of the delayed state select cells as well
         rows += [[*now, *late] for now, late in zip(zero, LINES, strict=True)]
     for signs in itertools.product((-1, 1), repeat=len(rows)):
         conditions = exact([[s * v for v in row] for s, row in zip(signs, rows, strict=True)])
@@ -58,12 +58,12 @@ def failures(result, h, order, both):
     assert all((matrix == matrix.T).all() for matrix in m.values())
     unit = exact(np.eye((3 + order) * 2, dtype=int).tolist())
     x, late, late_slope, *omega = (unit[:, 2 * k : 2 * k + 2] for k in range(3 + order))
-    zeta = [  # int P_k(s) x'(s) ds by parts, P_k' = sum 2 (2 j + 1) P_j over j = k - 1, k - 3 ...
+    zeta = [  # integral of P_k(s) x'(s) by parts, with P_k' = sum of 2 (2 j + 1) P_j over j = k - 1, k - 3, ...
         x - (-1) ** k * late - sum((2 * (2 * j + 1) * omega[j] for j in range(k - 1, -1, -2)), 0 * x)
         for k in range(order + 1)
     ]
     now = np.hstack([x, late])
-    without_slope = np.r_[0:4, 6 : len(unit)]  # V does not know x_d'
+    without_slope = np.r_[0:4, 6 : len(unit)]  # V does not depend on x_d'
 
     def form(name, left, right=None):
         return left @ m[name] @ (left if right is None else right).T

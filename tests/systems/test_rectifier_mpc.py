@@ -180,7 +180,7 @@ def numerator(num, den, a):
         both[:n, :n], both[:n, n] = A * T, B * T
         step = mpmath.expm(both, method="taylor")
         impulses = [(C * step[:n, :n] ** k * step[:n, n])[0] for k in range(n)]
-        exact, m = [mpmath.mpf(1)], mpmath.zeros(n)  # the characteristic polynomial, after Faddeev and LeVerrier
+        exact, m = [mpmath.mpf(1)], mpmath.zeros(n)  # characteristic polynomial by Faddeev and LeVerrier
         for k in range(1, n + 1):
             m = step[:n, :n] * m + exact[-1] * mpmath.eye(n)
             product = step[:n, :n] * m
@@ -196,7 +196,7 @@ def test_sampled_models_agree_with_scipy():
         np.testing.assert_allclose(model.a, a, rtol=1e-9)
         np.testing.assert_allclose(model.b, numerator(num, den, model.a), rtol=1e-7)
     assert _dc_gain(seed19(T)) == pytest.approx(77.003, abs=1e-3)
-    assert seed19(T).b == pytest.approx((0.16467, 0.15255), abs=1e-5)  # printed: 0.116, 0.107
+    assert seed19(T).b == pytest.approx((0.16467, 0.15255), abs=1e-5)  # printed as 0.116 and 0.107
 
 
 def test_corrected_models_are_those_of_the_operating_point():
@@ -206,7 +206,7 @@ def test_corrected_models_are_those_of_the_operating_point():
     assert [RectifierConstants(R_L=16 / f).current for f in (1.25, 1.5, 2, 2.5)] == pytest.approx(
         [47.553, 57.385, 77.402, 97.919], abs=1e-3
     )
-    high = RectifierConstants(V_g=234.0)  # the voltage that unity power factor takes is beyond 400/sqrt(3)
+    high = RectifierConstants(V_g=234.0)  # unity power factor needs a voltage above 400/sqrt(3)
     assert abs(234.0 - complex(c.R, 2 * math.pi * 60 * c.L) * high.current) == pytest.approx(232.07, abs=0.01)
     third, second = n3(c, T), d2(c, T)
     assert third.b == pytest.approx((-0.00553621, 0.07332316, -0.00135521), abs=1e-8)
@@ -316,9 +316,11 @@ def test_infeasible_programme_is_reported_and_solved_again_afterwards():
 
 def test_active_bounds_are_counted_over_all_moves():
     law = GpcController(solver="daqp", u_min=-1.0, u_max=1.0, du_max=2.0, u_start=0.0)
-    assert law._active(0.0, (1.0, -2.0, 0.5)) == 3  # the upper one; the move and the lower one; none
+    # The first move has one active bound, the second two, the third none.
+    assert law._active(0.0, (1.0, -2.0, 0.5)) == 3
     assert GpcController()._active(0.0, (1.0, -2.0, 0.5)) == 0
-    edge = GpcController(solver="daqp", u_min=0.0, u_max=0.5, du_max=1.0)  # a ten-millionth of 1 counts, no more
+    # A distance below 1e-7 of the bound counts as active.
+    edge = GpcController(solver="daqp", u_min=0.0, u_max=0.5, du_max=1.0)
     assert [edge._active(0.0, (u,)) for u in (1e-7, 1.0000001e-7, 0.5 - 0.9e-7, 0.5 - 1.1e-7)] == [1, 0, 1, 0]
     assert [edge._active(u, (-u,)) for u in (1.0 - 0.9e-7, 1.0 - 1.1e-7)] == [2, 1]
 
@@ -411,7 +413,7 @@ def test_a_collapsing_voltage_stops_the_converter():
     plant.advance(0, command=(CONSTANTS.drop,), events=None)
     assert plant.reports == {"collapse": (Level.ERROR, "DC voltage 400 V, below 401 V: converter shut down", 1)}
     assert moving(plant) == (0.0, 0.0, 401.0)
-    plant.advance(NS, command=(CONSTANTS.drop,), events=None)  # whatever is commanded
+    plant.advance(NS, command=(CONSTANTS.drop,), events=None)  # the converter stays off, whatever is commanded
     assert plant.reports["off"] == (Level.WARN, "switches off: the diodes carry the current", 1)
     assert plant.reports["collapse"][2] == 1
 
@@ -482,7 +484,7 @@ def test_with_the_switches_off_the_diodes_hold_the_link(model, load, within):
 
 def test_without_load_the_link_stays_at_the_peak_between_two_phases():
     v = off(ByHand(RectifierPlant(R_L=1e6, v_start=311.0, i_start=0.0)), 200)
-    assert v[-1] == pytest.approx(math.sqrt(3.0) * 180.0, abs=0.5)  # without diodes it fell to 189.6 V
+    assert v[-1] == pytest.approx(math.sqrt(3.0) * 180.0, abs=0.5)  # a model without diodes falls to 189.6 V
     high = off(ByHand(RectifierPlant(R_L=1e6, v_start=400.0, i_start=0.0)), 20)
     assert high[-1] == pytest.approx(400.0 * math.exp(-20 * T / (1e6 * CONSTANTS.C)), rel=1e-9)
 

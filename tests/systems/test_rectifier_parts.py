@@ -23,7 +23,7 @@ from softrig_power.rectifier.quality import FIGURES, HARMONICS, ROWS
 OMEGA, L, R, C = 2.0 * math.pi * 60.0, 2e-3, 0.3, 1e-3
 PHI = math.atan2(OMEGA * L, R)
 CIRCUIT = Circuit.of(OMEGA, L, R, C, PHI)
-# start, length, amplitude, fifth, load, reach, forward, decoupled, before, command
+# The fields of Period: start, length, amplitude, fifth, load, reach, forward, decoupled, before, command.
 SENSORLESS = Period(0.01, 1e-3, 170.0, 20.0, 16.0, 1.0, 1.0, False, 0.0, 30.0)
 DECOUPLED = SENSORLESS._replace(decoupled=True, before=35.0, command=41.0)
 TURN = np.exp(-2j * math.pi / 3.0 * np.arange(3))
@@ -132,7 +132,7 @@ def test_the_averaged_equations_with_complex_vectors(plain, period):
             assert result == pytest.approx((slope.real, slope.imag, link))
             by_phase = np.empty(4)
             averaged.ode_abc.py_func(t, np.array([*phases_of(i, t), v_dc]), (CIRCUIT, period), by_phase)
-            wanted = phases_of(slope + 1j * OMEGA * i, t)  # the frame turns
+            wanted = phases_of(slope + 1j * OMEGA * i, t)  # the frame rotates
             assert by_phase.tolist() == pytest.approx([*wanted, link])
             x = np.array([i.real, i.imag, v_dc])
             assert averaged.read(t, x, CIRCUIT) == pytest.approx((*phases_of(i, t), v_dc))
@@ -183,7 +183,7 @@ def test_the_switched_equations_by_leg(plain):
         dx = np.empty(4)
         ode(0.0104, x, (CIRCUIT, SENSORLESS, *map(float, legs)), dx)
         g = circuit.grid(0.0104, CIRCUIT, SENSORLESS)
-        v = [(s - sum(legs) / 3.0) * 380.0 for s in legs]  # to the neutral of a load in star
+        v = [(s - sum(legs) / 3.0) * 380.0 for s in legs]  # voltages to the neutral of a star-connected load
         slopes = [(g[k] - R * x[k] - v[k]) / L for k in range(3)]
         link = (sum(s * i for s, i in zip(legs, x, strict=False)) - 380.0 / 16.0) / C
         assert dx.tolist() == pytest.approx([*slopes, link])
@@ -198,7 +198,7 @@ def test_the_modulation_and_its_carrier(plain, injection):
         assert switched.modulation(t, 400.0, CIRCUIT, SENSORLESS, injection) == pytest.approx(
             [2.0 * (u - shift) / 400.0 for u in of]
         )
-    for k in range(40):  # a triangle between -1 and 1, rising first
+    for k in range(40):  # a triangle between -1 and 1 that rises first
         t = k * 0.0123e-3
         half = math.floor(2e4 * t)
         wanted = np.interp(2e4 * t, [half, half + 1], [-1.0, 1.0] if half % 2 == 0 else [1.0, -1.0])
@@ -258,7 +258,7 @@ def test_the_sums_of_a_piece_follow_simpsons_rule(plain):
         whole = quad(at, 0.01, 0.01005, (4 + k,))[0]
         assert sums[quality.PLAIN, quality.CURRENT_SQUARE + k] == pytest.approx(whole, rel=1e-4)
         cos, _ = quad(lambda t, k=k: at(t, k) * math.cos(3 * OMEGA * t), 0.01, 0.01005)
-        if k < 2:  # the third is what the others are not
+        if k < 2:  # the sum of the third phase follows from the other two
             assert sums[quality.CURRENT_COS + k, 3] == pytest.approx(cos, rel=1e-4)
     wave, _ = quad(lambda t: circuit.grid(t, CIRCUIT, SENSORLESS)[1] * math.sin(OMEGA * t), 0.01, 0.01005)
     assert sums[quality.GRID_SIN + 1, 1] == pytest.approx(wave, rel=1e-4)
@@ -288,7 +288,7 @@ def test_a_switched_period_is_the_equations_between_the_edges(plain, traced):
     assert x.tolist() == pytest.approx(y.tolist(), abs=0.05)
     assert v == x[3]
     assert sums[quality.PLAIN, quality.WINDOWS] == 5.0
-    assert complete[quality.PLAIN, quality.TIME] == pytest.approx(1e-4)  # to the border at 0.0101 s
+    assert complete[quality.PLAIN, quality.TIME] == pytest.approx(1e-4)  # up to the border at 0.0101 s
     assert sums[quality.PLAIN, quality.TIME] == pytest.approx(1.5e-4)
 
 
@@ -299,12 +299,12 @@ def bridge(t, h, x, period):
     """A step of the bridge by its rules, leg by leg, for any numbers."""
     g, v, i = np.array(circuit.grid(t, CIRCUIT, period)), x[3], x[:3].copy()
     on, upper = i != 0.0, i > 0.0
-    if not on.any() and np.ptp(g) > v:  # the highest and the lowest begin
+    if not on.any() and np.ptp(g) > v:  # the phases with the highest and the lowest voltage start to conduct
         on, upper = (g == g.max()) | (g == g.min()), g == g.max()
     drive = g - R * i - upper * v
     if on.sum() > 1:
         rail = drive[on].mean()
-        if on.sum() == 2:  # does the third come above one rail or below the other?
+        if on.sum() == 2:  # the third phase starts if it exceeds one rail
             k = int(np.flatnonzero(~on)[0])
             if g[k] - rail > v or g[k] < rail:
                 on[k], upper[k] = True, g[k] - rail > v
@@ -331,7 +331,7 @@ def test_a_step_of_the_diodes_in_every_situation(plain):
         if k % 3 == 0:
             i[k % 9 // 3] = 0.0
         alive = i != 0.0
-        if alive.sum() > 1:  # a lone current is left as it is: it can go nowhere
+        if alive.sum() > 1:  # a single current has no return path and stays as it is
             i = np.where(alive, i - i.sum() / alive.sum(), 0.0)
         x = np.array([*i, chance.uniform(150.0, 330.0)])
         t, h = chance.uniform(0.0, 1.0 / 60.0), 10.0 ** chance.uniform(-6.0, -3.5)
@@ -371,7 +371,7 @@ def waves(t):
     i = np.array([sum(a[k] * np.cos(n * x + n + k) for n, a in ORDERS.items()) for k in range(3)])
     v = 400.0 + 3.0 * np.cos(6 * x + 0.4) + 2.0 * np.cos(12 * x - 1.0) + 1.0 * np.cos(2 * x)
     g = np.array([180.0 * np.cos(x + 0.3 + k) + 5.0 * np.cos(5 * x) for k in range(3)])
-    i[2] = -i[0] - i[1]  # in star
+    i[2] = -i[0] - i[1]  # the third current of a star
     return i, v, g
 
 
@@ -379,7 +379,7 @@ ORDERS = {1: (30.0, 28.0, 33.0), 5: (3.0, 4.0, 2.0), 7: (1.0, 2.0, 3.0), 49: (0.
 
 
 def test_all_figures_of_known_harmonics(plain):
-    n = 160  # samples of a cycle: each order below 80 is exact
+    n = 160  # samples of a cycle, so each order below 80 is exact
     sums, other = quality.empty(), quality.empty()
     h = 1.0 / 60.0 / n
     for k in range(n):
@@ -415,7 +415,7 @@ def test_all_figures_of_known_harmonics(plain):
     result = figures(other)
     assert list(result) == list(FIGURES)
     assert result == pytest.approx(wanted)
-    assert sorted({*np.flatnonzero(other[quality.LINK_COS])}) == [6, 12]  # only the orders that figures use
+    assert sorted({*np.flatnonzero(other[quality.LINK_COS])}) == [6, 12]  # only orders that figures use are computed
 
 
 def test_figures_without_a_window_or_a_current():
@@ -429,7 +429,7 @@ def test_figures_without_a_window_or_a_current():
     assert result == pytest.approx(dict.fromkeys(FIGURES, 0.0) | {"windows": 7.0, "voltage": 390.0}, abs=1e-9)
     kept = quality.opened(still.tobytes())
     assert kept.tolist() == still.tolist()
-    kept[0, 0] = 5.0  # new sums are added to this value
+    kept[0, 0] = 5.0  # the copy must be writable, since sums are added to it
 
 
 # Models and constants -------------------------------------------------------------------------------------
@@ -439,11 +439,11 @@ def test_the_constants_of_the_operating_point():
     p = RectifierConstants(V_g=150.0, R=0.4, L=2.5e-3, R_L=20.0, v_ref=350.0)
     i = p.current
     assert 1.5 * (150.0 * i - 0.4 * i * i) == pytest.approx(350.0**2 / 20.0)
-    assert i < 150.0 / 0.8  # the smaller root
+    assert i < 150.0 / 0.8  # the smaller root is used
     z = complex(0.4, p.omega * 2.5e-3)
     assert (p.impedance, p.phi, p.drop) == pytest.approx((abs(z), np.angle(z), abs(z) * i))
     most = RectifierConstants(R=10.0, R_L=400.0**2 / (1.5 * 180.0**2 / 40.0))
-    assert most.current == pytest.approx(9.0, rel=1e-6)  # the largest current through R
+    assert most.current == pytest.approx(9.0, rel=1e-6)  # beyond this current the loss in R exceeds the power
     with pytest.raises(ValueError, match=r"^R_L = 100 ohm takes 1600 W, more than V_g\^2/\(4 R\) allows$"):
         _ = RectifierConstants(R=10.0, R_L=100.0).current
 
@@ -472,7 +472,7 @@ def test_the_decoupled_model_by_the_matrix_exponential():
     """v' = -2/(C R_L) v + 1.5/(C v) [(V_g - 2 R I) i - L I i'], i a ramp in each period: a linear system of three."""
     p, h = RectifierConstants(R=0.4), 1.3e-3
     k, i = 1.5 / (p.C * p.v_ref), p.current
-    system = np.zeros((3, 3))  # v, current, its slope
+    system = np.zeros((3, 3))  # voltage, current and its slope
     system[0] = [-2.0 / (p.C * p.R_L), k * (p.V_g - 2.0 * p.R * i), -k * p.L * i]
     system[1, 2] = 1.0
     whole = expm(system * h)
@@ -566,7 +566,8 @@ def test_the_sums_of_a_window_start_again_after_a_jump_of_time(jump, kept):
     again = plant.advance(x, 1_000_000 + jump, command=(30.0,), events=None)
     sums = quality.opened(again.record.sums.kept)
     assert sums[quality.PLAIN, quality.TIME] == pytest.approx(2e-3 if kept else 1e-3)
-    later = plant.advance(x, 10**9, command=(30.0,), events=None)  # the tenth window, each six cycles, has just begun
+    # After ten windows of six cycles a new one has just begun.
+    later = plant.advance(x, 10**9, command=(30.0,), events=None)
     assert quality.opened(later.record.sums.kept)[quality.PLAIN, quality.WINDOWS] == 10.0
     assert later.record.figures == (0.0,) * 13
 
@@ -574,15 +575,15 @@ def test_the_sums_of_a_window_start_again_after_a_jump_of_time(jump, kept):
 def test_figures_belong_to_complete_windows_only():
     plant = RectifierPlant(period=1e-2, substep=1e-3)
     x = plant.first()
-    for k in range(11):  # the first six cycles are over at 0.1 s
+    for k in range(11):  # the first six cycles end at 0.1 s
         assert x.record.figures == (0.0,) * 13
         x = plant.advance(x, k * 10_000_000, command=(plant.p.drop,), events=None)
     assert x.record.figures[0] == 1.0
     result = x.record.figures
-    x = plant.advance(x, 50_000_000, command=(plant.p.drop - 1.0,), events=None)  # back into the middle of a window
+    x = plant.advance(x, 50_000_000, command=(plant.p.drop - 1.0,), events=None)  # returns to the middle of a window
     for k in range(6, 12):
         x = plant.advance(x, k * 10_000_000, command=(plant.p.drop - 1.0,), events=None)
-    assert x.record.figures == result  # half a window is none
+    assert x.record.figures == result  # half a window has no figures
     for k in range(12, 21):
         x = plant.advance(x, k * 10_000_000, command=(plant.p.drop - 1.0,), events=None)
     assert x.record.figures[0] == 2.0

@@ -56,7 +56,7 @@ def stepped(path, names, period, ticks, driven=None, **options):
         rows.append([plant.outputs(0)[f"to_y{k}"][0] for k in range(len(names))])
         try:
             plant.advance(0, **{f"u{k}": (float(u),) for k, u in enumerate(now)})
-        except RunError as error:  # Stair does, where FMPy stops, too
+        except RunError as error:  # the FMU Stair ends the simulation itself, as in FMPy
             if "asks to end the simulation" not in str(error):
                 raise
             break
@@ -84,7 +84,8 @@ def test_its_values_equal_those_of_fmpy(path):
     compared = 0
     if "co_simulation" in unit.interfaces:
         reference = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", **about)
-        close = 1e-5 if path.stem == "Roberts" else 1e-12  # a rounding of the time is one of its own steps more or less
+        # The FMU's own step may fall on either side of a rounded time.
+        close = 1e-5 if path.stem == "Roberts" else 1e-12
         _same(stepped(path, names, period, ticks), reference, outputs, close)
         compared += 1
     if "model_exchange" in unit.interfaces and (path.stem in SMOOTH or "co_simulation" not in unit.interfaces):
@@ -130,19 +131,19 @@ def test_its_answers_to_inputs_equal_those_of_fmpy(path):
     for method, kind in INTERFACES.items():
         if method in unit.interfaces:
             options, steps = {"fmi_type": kind}, 1
-            if method == "model_exchange":  # FMPy draws lines from row to row: two at a tick make it hold
+            if method == "model_exchange":  # FMPy interpolates between rows, so two rows at each tick hold the value
                 options = CVODE | {"input": np.repeat(table, 2)[:-1]}
                 options["input"]["time"], steps = np.repeat(table["time"], 2)[1:], 100
             reference = fmpy.simulate_fmu(str(path), **(about | options))
             reference = reference[
                 np.unique(np.round(reference["time"], 9), return_index=True)[1]
-            ]  # the row before each event
+            ]  # keep the row before each event
             result = stepped(path, cells(outputs), period, ticks, (cells(inputs), values), method=method, steps=steps)
             _same(
                 result[1:], reference[1:], outputs, 1e-12 if method == "co_simulation" else 1e-5
-            )  # at 0 FMPy has told it
+            )  # at t = 0 FMPy has already set the inputs
             compared += 1
-            assert np.ptp(result, axis=0).min() > 0.0  # every output changes
+            assert np.ptp(result, axis=0).min() > 0.0  # each output changes, so the comparison means something
     assert compared
 
 

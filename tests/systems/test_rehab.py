@@ -47,7 +47,7 @@ V_SIGNAL = [f"motor_command/{joint}/effort" for joint in JOINTS]
 DRIFT = {"rehab_plant.drift.resistance": 0.3, "rehab_plant.drift.constants": -0.09}
 
 
-# The closed form, no URDF and no pinocchio.
+# The model in closed form; neither the URDF nor pinocchio.
 
 
 @functools.cache
@@ -205,7 +205,7 @@ def test_motors_drift_to_the_requested_values():
             plant.advance(round(t * 1e9), motor_command=(5.0, -2.0))
         assert numbers(drifting.x) == pytest.approx(numbers(fixed.x), rel=1e-12)
         torques = [plant.outputs(round(t * 1e9))["joint_states"][4:] for plant in (drifting, fixed)]
-        # the torque of the previous period, also at the next tick
+        # The torque of the previous period holds, also at the next tick.
         assert torques[0] == pytest.approx(torques[1], rel=1e-12)
     assert drifting.block.torque_per_ampere == (69.12, 69.12)
 
@@ -231,8 +231,8 @@ def test_reference_meets_its_numbers_and_its_derivatives_fit():
 # scenarios, B2, B4, B5, B7, B8, B9 and stretch -------------------------------------------------------------------
 
 
-# the paper's law beside one other, the impedance law, the stability limit and the stretch are daily; the other sliding
-# mode laws, periods, delays and masses differ from them in numbers only
+# The paper's law and one other, the impedance law, the stability limit and the stretch run daily; the other
+# sliding-mode laws, periods, delays and masses differ from them only in numbers.
 LATER = {f"rehab_impedance_{n}" for n in (
     "3ms", "b9_delayed_applied", "b9_delayed_oscillates", "joint_side", "r2_strong", "r3", "r3_strong", "r4", "r4_arsc",
     "r4_tsarc", "r5_minute", "r7", "r7_payload", "winter",
@@ -319,7 +319,7 @@ def test_the_controller_continues_from_the_voltage_that_the_plant_applied():
         np.testing.assert_allclose(fed[e].x, agreed[e].x, atol=1e-12)
         assert measures.peak(fed, v) > 6.0
     fed_limited, blind_limited = (np.abs(s[V_SIGNAL[0]].x) > 6.0 for s in (fed, blind))
-    assert blind_limited.sum() > 2 * fed_limited.sum()  # the integral winds up and recovers late
+    assert blind_limited.sum() > 2 * fed_limited.sum()  # the integral winds up, which delays the recovery
 
 
 # B6: repeatability, equation (25)
@@ -374,7 +374,8 @@ def test_gain_above_the_limit_warns_with_the_limit(values, limit):
     assert ByHand(VoltageController()).reports == {}
 
 
-# A parameter of the robot that changes, and whether above its limit the motion tells it too (else friction hides it).
+# A changed parameter of the robot, and whether the motion shows that it exceeds its limit; elsewhere friction hides
+# it.
 ROBOTS = {
     "motors.inductance": (6e-3, True), "motors.resistance": (2.0, True), "motors.back_emf_constant": (0.2, True),
     "motors.torque_constant": (8.0, True), "motors.inertia": (8e-4, True), "motors.damping": (1e-2, True),
@@ -383,7 +384,7 @@ ROBOTS = {
     "payload": (5.0, False), "drift.resistance": (-0.4, True), "drift.constants": (-0.3, False),
     "torque_constant_side": ("joint", True), "lower": ([-3.0, -1.6], False), "upper": ([1.0, 0.5], False),
 }  # fmt: skip
-FREE_OF_THE_LIMIT = {  # how a run is computed, where it begins, what stops it; the other friction only damps
+FREE_OF_THE_LIMIT = {  # these only affect how a run is computed, starts or stops; the other friction only damps
     "period", "substeps", "v_max", "speed_limit", "friction.coulomb", "friction.static", "friction.stribeck_speed",
     "friction.edge_speed", "position", "velocity", "disturbance.torque", "disturbance.begin", "disturbance.end",
     "drift.duration", "rom_margin", "rom_speed", "startup", "start_outside", "force_limit",
@@ -461,7 +462,7 @@ def test_stretch_beats_the_default_gain():
     assert (edge < 0.85 * default).all()
 
 
-# B10: the tuner, with smaller populations than the published 20; an exercise is the same one that the rig runs
+# B10: the tuner, with populations below the published 20. An exercise of the tuner equals that of the rig.
 
 
 @pytest.mark.long
@@ -535,13 +536,14 @@ def test_tuner_node_waits_for_its_trigger_and_repeats_itself():
         return [block.update(k, start=(1.0,) if k == 1 else (0.0,))["result"] for k in range(1, ticks)]
 
     first = tuned(5)
-    assert [row[0] for row in first] == [0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0]  # 3 + 2 + 2 candidates, then rest
+    # 3 + 2 + 2 candidates, after which nothing changes.
+    assert [row[0] for row in first] == [0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0]
     assert all(b[2] <= a[2] for a, b in itertools.pairwise(first))
     assert first == tuned(5)
     assert first != tuned(6)
 
 
-# B11 has times; a test has none
+# B11 publishes times, which a test cannot check.
 
 
 def test_computation_times_has_every_law():
@@ -598,7 +600,7 @@ def test_a_lost_patient_freezes_the_reference_and_it_resumes():
         for k in range(200, 300)
     ]
     frozen = still[-1]
-    assert [s == frozen for s in still].count(True) == 80  # 20 periods of patience
+    assert [s == frozen for s in still].count(True) == 80  # after 20 periods of silence it stops
     assert frozen[2:] == (0.0,) * 4
     assert block.reports["patient"][0] == Level.ERROR
     _, again = impedance_run((12.0, 0.0, 0.0), 3, block, start=300)
@@ -624,7 +626,7 @@ def test_a_reference_lost_in_real_time_gives_0_volt_or_a_stop(answer):
     speed = signals["joint_states/hip/velocity"].x
     block = run.adapters["voltage_controller"].step
     assert np.degrees(speed[6990]) > 6.0
-    assert volts[7019] > 0.5  # 20 periods of patience
+    assert volts[7019] > 0.5  # after 20 periods of silence
     if answer == "safe":
         assert set(volts[7022:]) == {0.0}
         assert block.reports["SAFE"][:2] == (Level.ERROR, "SAFE: no new reference for more than 20 periods: 0 V")
@@ -634,7 +636,7 @@ def test_a_reference_lost_in_real_time_gives_0_volt_or_a_stop(answer):
         assert abs(speed[-1]) < 1e-3
         assert "its position is held with speed zero" in block.reports["reference"][1]
     assert t[-1] > 8.9
-    assert abs(q[-1] - q[7000]) < np.radians(4.0)  # 13 degrees further with its speed held
+    assert abs(q[-1] - q[7000]) < np.radians(4.0)  # with the last speed held it would be 13 degrees further
 
 
 def test_a_reference_lost_behind_an_impedance_controller_stops_the_robot():
@@ -714,7 +716,8 @@ def test_a_leg_that_ran_alone_is_taken_over(alone):
         plant.advance(t, motor_command=command)
         fastest = max(fastest, abs(state[2]), abs(state[3]))
     assert not plant.x.safe
-    assert alone == 0 or fastest > math.radians(60.0)  # so the watch of the speed had to wait
+    # Without the delay of the speed check this motion would have stopped the robot.
+    assert alone == 0 or fastest > math.radians(60.0)
     assert state[:2] == pytest.approx(reference[:2], abs=math.radians(0.1))
 
 

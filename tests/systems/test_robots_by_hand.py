@@ -232,7 +232,7 @@ def test_an_input_of_the_largest_allowed_age_is_not_lost(name, answer):
     robot.block.ages = {name: 5 * MS + 1}.get
     late = robot.update(MS, **TICK)
     assert late["controller_state"][:2] == near((0.01, 0.01))
-    if name == "reference" and answer == "hold":  # the joint holds its last position as if there were no motion
+    if name == "reference" and answer == "hold":  # the joint holds its last position with zero speed
         still = ByHand(VoltageController()).update(0, **TICK | {"reference": (0.21, -0.49, 0.0, 0.0, 0.0, 0.0)})
         assert late["motor_command"] == still["motor_command"]
         assert robot.reports["reference"][:2] == (
@@ -248,7 +248,7 @@ def test_ticks_that_are_rejected_before_the_first_good_one_are_not_answered():
     robot = ByHand(VoltageController(stale_after=2))
     assert [robot.refused(k) for k in range(4)] == [None] * 4
     assert robot.reports["SAFE"][:2] == (Level.ERROR, "SAFE: 2 ticks with a rejected input: 0 V")
-    robot.update(5, **TICK)  # a good sample sets the count of bad ones to zero
+    robot.update(5, **TICK)  # a valid sample resets the count of invalid ones
     assert [robot.refused(k) is None for k in range(6, 10)] == [True, True, False, False]
     bent = ByHand(Impedance(stale_after=2))
     assert [bent.refused(k) for k in range(4)] == [None] * 4
@@ -415,7 +415,7 @@ def test_the_watch_of_the_leg_is_exact_at_its_limits():
         assert watched(q) == ((True, True), False)
     for q in ((2.2501, -1.0), (-0.7501, -1.0), (0.0, 0.2501), (0.0, -1.7501)):
         assert watched(q) == ((True, True), True)
-        # the joint has never been inside its range
+        # the joint has not been within its range yet
         assert watched(q, entered=(False, False)) == ((q[0] == 0.0, q[1] == -1.0), False)
     for v, t, live, stops in (
         ((1.0, -1.0), half, 0, False),
@@ -538,7 +538,7 @@ class Tuned(JointGains):
 
 def test_no_body_has_a_moment_beyond_the_sum_of_the_others():
     check_inertia("m", 1.0, "I", (1.0, 2.0, 3.0))
-    check_inertia("m", 1.0, "I", (3.0 * (1.0 + 0.9e-9), 1.0, 2.0))  # a deviation by rounding
+    check_inertia("m", 1.0, "I", (3.0 * (1.0 + 0.9e-9), 1.0, 2.0))  # deviates by a rounding error only
     for mass, moments, text in (
         (0.0, (1.0, 1.0, 1.0), "^m = 0 kg: expected a positive mass$"),
         (1.0, (1.0, 0.0, 1.0), r"^I = \[1.0, 0.0, 1.0\] kg m\^2: expected a positive definite inertia$"),
@@ -596,7 +596,7 @@ def test_the_computing_time_of_a_law_is_that_of_an_update_over_changing_states(m
     clock = itertools.count()
     monkeypatch.setattr(computation, "VoltageController", Law)
     monkeypatch.setattr(computation.time, "process_time", lambda: 3e-3 * next(clock))
-    assert computation._mean_time(Law("emvc"), 1500) == near(2.0)  # 3 ms over 1500 updates, us
+    assert computation._mean_time(Law("emvc"), 1500) == near(2.0)  # us, from 3 ms for 1500 updates
     assert [row[:2] for row in seen] == [(k, k) for k in range(1500)]
     for k in (0, 700, 1499):
         x = math.sin(1e-3 * k)
@@ -608,7 +608,8 @@ def test_the_computing_time_of_a_law_is_that_of_an_update_over_changing_states(m
         }
     elapsed = itertools.count(1)
     monkeypatch.setattr(computation, "_mean_time", lambda controller, updates: float(next(elapsed)) + updates)
-    assert computation.computation_times(10) == {"emvc": 11.0, "tsarc": 12.0, "arsc": 13.0}  # the best of three rounds
+    # The best of three rounds counts.
+    assert computation.computation_times(10) == {"emvc": 11.0, "tsarc": 12.0, "arsc": 13.0}
     assert next(elapsed) == 10
     monkeypatch.setattr(computation, "computation_times", lambda: {"emvc": 1.0, "tsarc": 2.5, "arsc": 30.0})
     computation.main()
@@ -669,8 +670,9 @@ def test_the_tuner_requests_when_its_button_is_pressed_and_reports_the_best():
             assert outputs["result"][1:] == (0.0, 0.0)
         else:
             assert outputs["result"][2] == best
-        assert block.answer(before, k, Reply(request, value), False)[0] == before  # no new value
-        # the reply belongs to another search
+        # Without a new value the state is unchanged.
+        assert block.answer(before, k, Reply(request, value), False)[0] == before
+        # The reply belongs to an earlier search.
         assert block.answer(before, k, Reply(((-1.0,), 0, 0), value), True)[0] == before
         x, request = block.request(x, k, start=(1.0,))
         if request is None:

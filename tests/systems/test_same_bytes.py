@@ -7,7 +7,8 @@ from softrig_nodes import run_processes
 
 pytestmark = pytest.mark.processes
 
-DAILY = [  # scenario, s (all of it: None), seed; headlines run daily in a container, others have golden bags
+# Scenario, duration in s (None: all of it), seed; main scenarios run in a container daily, others have golden bags.
+DAILY = [
     ("dc_motor_smc_b4", 1.0, 3),
     ("dc_motor_fsfb_stretch_jitter", None, 3),
     ("manipulator_adsmc_two_link", 0.3, 0),

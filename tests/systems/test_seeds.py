@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from softrig_core import simulate
 
-# Scenarios that draw, one of each kind of draw: what draws, and how long it takes until that shows.
+# Scenarios with random numbers, one for each use, and the time after which they have an effect.
 DRAWS = {
     "induction_dtc": ("dither bits", 0.01),
     "dc_motor_fsfb_stretch_jitter": ("jitter of a delay", 1.0),
@@ -21,7 +21,7 @@ DRAWS = {
     "pwa_delay_p2_telegraph": ("jumps of a delay", 60.0),
     "dc_motor_smc_faults": ("noise of a fault", 3.0),
 }
-SWARMS = {  # a smaller search draws as well
+SWARMS = {  # a smaller search also uses random numbers
     "fault_location_gwo": {"fault_locator.n_pop": 10, "fault_locator.n_iter": 5},
     "fault_location_woa": {"fault_locator.n_pop": 10, "fault_locator.n_iter": 5},
     "economic_dispatch_pso": {"dispatch_solver.n_pop": 10, "dispatch_solver.n_iter": 5},
@@ -49,7 +49,7 @@ def test_another_seed_gives_another_run_and_the_same_seed_the_same(scenario):
     assert first != other
 
 
-OWN = {  # generators that are not made of a rig's seed, by file: how many, and why
+OWN = {  # generators that do not use the seed of the rig, by file: their number and the reason
     "softrig_core/block/block.py": (1, "the one of a rig's seed"),
     "softrig_optim/search.py": (1, "of what it is given; a node gives that of the rig"),
     "softrig_systems/pwa_delay/profiles.py": (1, "of what it is given"),
@@ -77,7 +77,7 @@ def test_there_are_no_other_random_numbers():
     for path in root.glob("*/softrig_*/**/*.py"):
         text = path.read_text(encoding="utf-8")
         if path.parent.name == "rig" and path.stem in ("contents", "outside"):
-            continue  # they look at the generators of others, and draw nothing
+            continue  # these read the generators of other files and draw no numbers
         assert not re.search(r"^import random|np\.random\.(?!default_rng|Generator)", text, re.M), path
         if count := len(re.findall(r"default_rng\(|\bRandom\(", text)):
             results[str(path.relative_to(root)).partition("/")[2]] = count

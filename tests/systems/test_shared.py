@@ -76,7 +76,8 @@ def test_figures_of_the_queue_follow_the_set_point_and_the_network():
     run = simulate("tcp_aqm_smc", overrides={"set_point": 90.0, "N": 50, "C": 3000.0}, duration=8.0)
     q, w = (run.signals[f"network/state/{name}/position"].x for name in ("queue", "window"))
     served = run.signals["network/truth/served/position"].x
-    assert run.figures["J_q"] == pytest.approx(np.mean((q[:-1] - 90.0) ** 2))  # no reference is published at the end
+    # A reference is not published at the end.
+    assert run.figures["J_q"] == pytest.approx(np.mean((q[:-1] - 90.0) ** 2))
     assert run.figures["J_w"] == pytest.approx(np.mean((w[:-1] - (90.0 / 3000.0 + 0.2) * 3000.0 / 50) ** 2))
     assert run.figures["utilisation"] == pytest.approx((served[-1] - served[0]) / (3000.0 * 8.0))
     assert run.figures["queue_end"] == pytest.approx(90.0, abs=0.5)

@@ -63,7 +63,8 @@ def loop(plant, controller, seconds):
 # B1 to B8 and the stretch: what the files expect
 
 
-# the paper's two laws, PI and PID, packets, a jump, other flows and the stretch are daily; the rest differs in numbers
+# The paper's two laws, PI and PID, packets, a jump, other flows and the stretch run daily; the others differ only in
+# numbers.
 LATER = {f"tcp_aqm_smc_{n}" for n in (
     "10s", "10ms", "delay", "detuned_5", "detuned_7", "pi_delay", "pi_formula", "pi_formula_delay", "pi_raw",
     "pi_raw_delay", "pid_delay", "pid_delay_40s", "sspid_10s", "sspid_delay", "sspid_delay_10s",
@@ -108,7 +109,7 @@ def test_a_wrong_number_of_flows_moves_the_queue_to_the_rest_of_the_controller(f
             left + 16.0 * rate + 64.0 * e + 5.0 * np.sign(result["s_late"].value) * (1.0 if flows > 60 else -1.0)
         )
     if q < 300.0:
-        assert remaining == pytest.approx(0.0, abs=40.0)  # 0.1 packets are 30 packet/s^2
+        assert remaining == pytest.approx(0.0, abs=40.0)  # a queue of 0.1 packets means 30 packet/s^2
     else:
         assert remaining < 0.0
 
@@ -201,7 +202,7 @@ def test_the_window_stops_at_its_floor():
 
 def dde_solution(equations, start, times, folder, monkeypatch):
     """Adaptive solution by jitcdde; the first delay with blind steps, as its state-dependent delays need."""
-    monkeypatch.chdir(folder)  # the solver compiles in this folder
+    monkeypatch.chdir(folder)  # the solver compiles in the current folder
     module = pytest.importorskip("jitcdde")
     solver = module.jitcdde(equations(module), max_delay=0.3, verbose=False)
     solver.set_integration_parameters(rtol=1e-7, atol=1e-7, first_step=1e-4, max_step=0.05)
@@ -222,7 +223,7 @@ def test_pi_agrees_with_an_adaptive_solver_of_delay_equations(tmp_path, monkeypa
 
     times = (1.5, 2.0, 3.0, 5.0, 7.0, 9.0, 10.5)
     exact = dde_solution(equations, [14.0, 110.0, 0.0], times, tmp_path, monkeypatch)
-    h = 1.25e-4  # the command is held over it: 0.0031 packets at twice this step
+    h = 1.25e-4  # the command holds during a step; twice this step is accurate to 0.0031 packets
     _, signals = run("tcp_aqm_smc_s5", tcp_fluid__period=h, tcp_fluid__h=h, aqm_controller__period=h)
     assert np.interp(times, *signals[QUEUE]) == pytest.approx(exact[:, 1], abs=0.003)
     assert np.interp(times, *signals["network/truth/window/position"]) == pytest.approx(exact[:, 0], abs=0.0005)
@@ -269,7 +270,7 @@ def test_packets_under_pi():
     assert result["J_q"] == pytest.approx(2950.0, rel=0.15)
 
 
-@pytest.mark.long  # the published deviation stands in the scenario, too
+@pytest.mark.long  # the scenario also has the published deviation
 def test_packets_under_sspd_with_the_gains_of_the_paper():
     result = seeds("tcp_aqm_smc_s4_sspd")
     assert result["deviation"] == pytest.approx(54.0, abs=6.0)
@@ -284,7 +285,7 @@ def test_packets_under_sspd_with_gains_for_the_delay():
     assert result["deviation"] == pytest.approx(25.0, abs=6.0)
     assert result["J_q"] == pytest.approx(2220.0, rel=0.15)
     assert result["utilisation"] == pytest.approx(0.952, abs=0.005)
-    assert result["J_q"] < seeds("tcp_aqm_smc_s4")["J_q"]  # the stretch
+    assert result["J_q"] < seeds("tcp_aqm_smc_s4")["J_q"]  # compared with the scenario of the stretch
 
 
 def test_dropping_instead_of_marking_loses_packets():
@@ -349,7 +350,7 @@ def test_a_stale_state_is_not_used():
 
 
 def test_a_delay_that_outruns_time_is_reported():
-    plant = ByHand(TcpFluid(w0=60.0))  # N w/R = 18000 > 2 C
+    plant = ByHand(TcpFluid(w0=60.0))  # N w/R = 18000 is more than 2 C
     plant.advance(0, command=(0.0,))
     assert plant.reports["fast_delay"][0] is Level.WARN
     assert math.isfinite(plant.x.q)

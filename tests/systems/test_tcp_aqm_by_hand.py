@@ -39,7 +39,7 @@ def wanted(name, m, g, width):
         return 0.1 + 1e-3 * m.e + 2e-3 * m.integral, 0.0
     if name == "pid":
         return 4e-3 * (m.e + m.integral / 2.0 + 0.3 * m.derivative), 0.0
-    s, bend = 0.0, -4.5 * m.rate - 6.75 * m.e - 3.375 * m.integral  # (D + 1.5)^3 times the integral of e
+    s, bend = 0.0, -4.5 * m.rate - 6.75 * m.e - 3.375 * m.integral  # (D + 1.5)^3 applied to the integral of e
     if name == "sspd":
         s = m.rate + 5.0 * m.e
         bend = -3.0 * s - 40.0 * sign(s, width) - 5.0 * m.rate
@@ -184,7 +184,7 @@ def test_a_disturbance_acts_at_the_internal_step_nearest_to_its_time(time):
         made = {"period": 0.002, "h": 0.001, "w0": 1e-3, "w_min": 1e-3, "C": 100.0, "q0": 50.0, "q_max": 70.0}
         plant = ByHand(TcpFluid(**made, disturbance=kind, disturbance_time=time, disturbance_value=7.0))
         for k in range(4):
-            queue = plant.outputs(k)[place][1]  # no flow sends, and the link serves 0.8 packets in the meantime
+            queue = plant.outputs(k)[place][1]  # no flow sends yet, and meanwhile the link serves 0.8 packets
             assert queue == pytest.approx(57.0 if 2 * k >= round(time * 1e3) else 50.0, abs=0.9)
             plant.advance(k * 2 * MS, command=(0.0,))
 
@@ -200,7 +200,7 @@ def test_the_fluid_looks_back_one_round_trip():
     for channel, then in ((0, window_then), (2, rtt_then)):
         assert then == pytest.approx(np.interp(at, range(500), [row[channel] for row in shown]), rel=1e-6)
     assert rtt == near(queue / 3750.0 + 0.2)
-    assert served == pytest.approx(0.499 * 3750.0, rel=1e-6)  # the queue is never empty
+    assert served == pytest.approx(0.499 * 3750.0, rel=1e-6)  # the queue never empties
     assert min(row[1] for row in shown) > 0.0
     assert shown[0] == near((14.0, 100.0, 0.2 + 100.0 / 3750.0, 14.0, 0.2 + 100.0 / 3750.0, 0.0))
 
@@ -315,7 +315,7 @@ def test_packets_follow_their_rules(drop):
         schedule(inside.agenda, inside.counts, float(t), START, flow, 0, 0.0)
     naive = Naive(windows, propagation, starts.tolist())
     own, reference = np.random.default_rng(5), np.random.default_rng(5)
-    for k in range(1, 90):  # until two events of a flow coincide; their order is not specified
+    for k in range(1, 90):  # stops where two events of a flow coincide, whose order is not specified
         rules = Rules(0.02, 333.0 if 30 < k < 60 else 0.0, 987.0, room, 1.0, 20.0, drop)
         run_until(k * 0.01, rules, own, inside)
         naive.run(k * 0.01, rules, reference)
@@ -353,7 +353,7 @@ def test_traffic_is_a_value():
     assert ahead.traffic == plant.advance(x, 0, command=(0.1,)).traffic
     assert x.traffic != "traffic"
     spread = x.traffic.inside.sources.propagation / 0.2
-    assert spread.size == 6  # room for twice the flows
+    assert spread.size == 6  # with room for twice the flows
     assert (spread.min() >= 0.95, spread.max() <= 1.05, np.ptp(spread) > 0.02) == (True, True, True)
     slower = plant.changed(x, x.net._replace(flows=5, propagation=0.4))
     assert slower.traffic.inside.sources.propagation == near(0.4 * spread)
@@ -361,7 +361,8 @@ def test_traffic_is_a_value():
     assert slower.traffic.inside.sources.window.tolist()[3:5] == [1.0, 1.0]
     fewer = plant.changed(slower, x.net._replace(flows=2))
     assert fewer.traffic.inside.sources.active.tolist() == [1, 1, 0, 0, 0, 0]
-    assert plant.jumped(x, 300.0).traffic.inside.counts[3] == 300  # the room of the queue; four were there
+    # The jump fills the queue up to its limit of 300; four packets were in it.
+    assert plant.jumped(x, 300.0).traffic.inside.counts[3] == 300
     assert plant.jumped(x, 300.0).traffic.inside.counts[5] == 4
 
 
@@ -373,7 +374,7 @@ def test_figures_of_the_queue_are_loops_over_its_samples():
     x = np.sin(t) * 3.0 + 14.0
     queue = np.where(t < 5.0 - 1e-9, 100.0, 150.0)
     signals = {"w": (t, x), "q": (t, queue), "network/truth/served/position": (t, 50.0 + 3000.0 * t)}
-    late = x[50:]  # the last five seconds with their first sample
+    late = x[50:]  # the last five seconds including their first sample
     mean = sum(late) / len(late)
     assert figures.deviation(signals, "w") == near(math.sqrt(sum((v - mean) ** 2 for v in late) / len(late)))
     assert figures.deviation(signals, "w", last=0.0) == 0.0

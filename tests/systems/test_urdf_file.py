@@ -33,7 +33,7 @@ FULL = """<robot name="arm" version="1.1">
 <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link></robot>"""
 JOINTS = ("j1", "j2", "j3")
 
-#: Of each used name: a text of `FULL`, and another that says something else.
+# : For each used name: a part of `FULL`, and a replacement with another meaning.
 CHANGES = {
     "robot@version": ('version="1.1"', 'version="3"'),
     "link@name": ('<link name="b">', '<link name="c">'),
@@ -79,7 +79,7 @@ CHANGES = {
     "joint/mimic@multiplier": ('multiplier="-1.5"', 'multiplier="2"'),
     "joint/mimic@offset": ('offset="0.2"', 'offset="0.3"'),
 }
-# published with the file, no number
+# Published with the file, but not used by any number.
 FOR_VIEWERS = {"robot@name", "link", "link/visual/**", "material/**", "ros2_control/**"}  # fmt: skip
 
 
@@ -327,7 +327,8 @@ def test_friction_of_the_file_slows_a_wheel_down_evenly(tmp_path):
 
 def test_friction_too_steep_for_the_step_is_refused_with_the_needed_substeps(tmp_path):
     with pytest.raises(ValueError, match=r"substeps = 2: expected at least 4 for damping and friction"):
-        pendulum(tmp_path, '<dynamics friction="50"/>', edge_speed=0.01)  # 50/0.01/0.5 = 10,000 1/s
+        # The friction needs 50/0.01/0.5 = 10,000 1/s.
+        pendulum(tmp_path, '<dynamics friction="50"/>', edge_speed=0.01)
 
 
 def test_one_joint_behaves_as_a_pendulum(tmp_path):
@@ -350,14 +351,14 @@ def test_limits_are_reported_or_enforced(tmp_path):
     p = pendulum(tmp_path, effort=1.5, limits="act")
     for k in range(600):
         p.advance(k * 10**6, motor_command=(2.6,))
-    assert p.x.v[0] == pytest.approx(1.5 / 0.5 * 0.6, rel=2e-2)  # the drive saturates at 1.5 N m
+    assert p.x.v[0] == pytest.approx(1.5 / 0.5 * 0.6, rel=2e-2)  # the drive is limited to 1.5 N m
     assert p.block.outputs(p.x, 0)["joint_states"][2] == 1.5
     for k in range(600, 1200):
         p.advance(k * 10**6, motor_command=(2.6,))
-    assert (p.x.q[0], p.x.v[0]) == (1.0, 0.0)  # it rests at its end stop
+    assert (p.x.q[0], p.x.v[0]) == (1.0, 0.0)  # at rest at its end stop
     for k in range(1200, 1300):
         p.advance(k * 10**6, motor_command=(-2.6,))
-    assert p.x.q[0] < 1.0  # and leaves it
+    assert p.x.q[0] < 1.0  # moves away from its end stop
     with pytest.raises(ValueError, match="limits: act needs joint hinge within its limits"):
         pendulum(tmp_path, limits="act", position=[1.2])
 

@@ -15,7 +15,7 @@ from numba import njit
 from softrig_core import Array
 
 DURATION, STEP, EVERY, SEGMENTS, CARS = 100.0, 0.01, 10, 20, 5
-CHASE_FROM, KEEP_TO, KEEP_FROM, BRAKE_FROM = 20.0, 15.0, 10.0, 5.0  # m behind the car before
+CHASE_FROM, KEEP_TO, KEEP_FROM, BRAKE_FROM = 20.0, 15.0, 10.0, 5.0  # m, distances to the car ahead
 REQUIREMENTS = {
     "CC1": "always y5 - y4 <= 40",
     "CC2": "always[0, 70] (eventually[0, 30] y5 - y4 >= 15)",

@@ -21,13 +21,14 @@ from softrig_core import Array
 
 from .transmission import _place
 
-DURATION, STEP, EVERY = 15.0, 0.01, 5  # s, s, steps a sample
-SPEED, ALPHA, ALTITUDE, POWER = 540.0, np.deg2rad(2.1215), 2338.0, 9.0  # ft/s, rad, ft, percent at the start
-AREA, SPAN, CHORD, G, PILOT = 300.0, 30.0, 11.32, 32.17, 15.0  # ft2, ft, ft, ft/s2, ft before the centre of gravity
-PER_MASS, MOMENTUM, DENSITY = 1.57e-3, 160.0, 2.377e-3  # 1/slug, slug ft2/s of the engine, slug/ft3
+DURATION, STEP, EVERY = 15.0, 0.01, 5  # s, s, steps for each sample
+SPEED, ALPHA, ALTITUDE, POWER = 540.0, np.deg2rad(2.1215), 2338.0, 9.0  # at the start: ft/s, rad, ft, %
+# Ft^2, ft, ft, ft/s^2, and ft in front of the centre of gravity.
+AREA, SPAN, CHORD, G, PILOT = 300.0, 30.0, 11.32, 32.17, 15.0
+PER_MASS, MOMENTUM, DENSITY = 1.57e-3, 160.0, 2.377e-3  # 1/slug, slug ft^2/s of the engine, slug/ft^3
 C = np.array([0.0, -0.770, 0.02755, 1.055e-4, 1.642e-6, 0.9604, 1.759e-2, 1.792e-5, -0.7336, 1.587e-5])
 
-ANGLES = np.arange(-10.0, 46.0, 5.0)  # deg of attack
+ANGLES = np.arange(-10.0, 46.0, 5.0)  # angles of attack, deg
 DAMPING = np.array(
     [
         [-0.267, -0.110, 0.308, 1.34, 2.08, 2.91, 2.76, 2.05, 1.50, 1.49, 1.83, 1.21],  # CXq
@@ -41,7 +42,7 @@ DAMPING = np.array(
         [0.061, 0.052, 0.052, -0.012, -0.013, -0.024, 0.050, 0.150, 0.130, 0.158, 0.240, 0.150],  # Cnp
     ]
 )
-HEIGHTS, MACHS = np.arange(0.0, 50001.0, 10000.0), np.arange(0.0, 1.01, 0.2)  # ft
+HEIGHTS, MACHS = np.arange(0.0, 50001.0, 10000.0), np.arange(0.0, 1.01, 0.2)  # ft, Mach number
 THRUST = np.array(
     [
         [
@@ -71,12 +72,13 @@ THRUST = np.array(
     ]
 )  # fmt: skip; lb, idle, military and full, each over mach and altitude
 
-TRIM_ALPHA, TRIM_THROTTLE, TRIM_ELEVATOR = 0.0389, 0.1395, -0.7496  # rad, share, deg
-K_LONG = np.array([-156.8801506723475, -31.037008068526642, -38.72983346216317])  # alpha, q, integral of Nz; deg
+TRIM_ALPHA, TRIM_THROTTLE, TRIM_ELEVATOR = 0.0389, 0.1395, -0.7496  # rad, share of full throttle, deg
+# Gains of alpha, q and the integral of Nz, to deg.
+K_LONG = np.array([-156.8801506723475, -31.037008068526642, -38.72983346216317])
 K_LAT = np.array(
     [[37.84483, -25.40956, -6.82876, -332.88343, -17.15997], [-23.91233, 5.69968, -21.63431, 64.4949, -88.36203]]
 )  # beta, p, r, integrals of ps and of Ny + r; deg of aileron and rudder
-ROLL_P, ROLL_D, PULL, DECK, PULLED = 4.0, 2.0, 5.0, 1000.0, 2.0  # 1/s, 1, g, ft, s that a pull takes at least
+ROLL_P, ROLL_D, PULL, DECK, PULLED = 4.0, 2.0, 5.0, 1000.0, 2.0  # 1/s, 1, g, ft, s that a pull lasts at least
 LEVEL, STILL = np.deg2rad(5.0), np.deg2rad(10.0)  # rad, rad/s
 STANDBY, ROLLING, PULLING = 0, 1, 2
 
@@ -219,7 +221,7 @@ def slopes(x: Array, nz_wanted: float, ps_wanted: float) -> Array:
     dx[7] = (C[5] * p - C[7] * MOMENTUM) * r + C[6] * (r * r - p * p) + force * CHORD * C[7] * cm
     dx[8] = (C[8] * p - C[2] * r + C[9] * MOMENTUM) * q + moment * (C[4] * cl + C[9] * cn)
     dx[9] = u * sin(pitch) - v * sin(roll) * cos(pitch) - w * cos(roll) * cos(pitch)
-    dx[10] = _power_slope(power, 64.94 * TRIM_THROTTLE)  # the autopilot leaves the throttle where it is
+    dx[10] = _power_slope(power, 64.94 * TRIM_THROTTLE)  # the autopilot keeps the throttle constant
     dx[11] = -(az - PILOT * dx[7]) / G - 1.0 - nz_wanted
     dx[12] = p * cos(da) + r * sin(da) - ps_wanted
     dx[13] = (ay + PILOT * dx[8]) / G + r

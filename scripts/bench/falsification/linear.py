@@ -46,7 +46,7 @@ def worst_linear_loop() -> Problem:
     """Return the loop with its bound; the worst load is the sign of the response, piece by piece, from the end."""
     times = [0.1 * k for k in range(PIECES)]
     response = simulate(linear_loop([0.0, 0.1], [LOAD, 0.0])).signals["motor/state/shaft/velocity"].x
-    bound = max(float(np.abs(response[k::10]).sum()) for k in range(10))  # of loads that change each 0.1 s
+    bound = max(float(np.abs(response[k::10]).sum()) for k in range(10))  # the load can change every 0.1 s
     space = space_of(
         linear_loop(times, [0.0] * PIECES, SHARE * bound), [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")]
     )

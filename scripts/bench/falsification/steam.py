@@ -15,17 +15,18 @@ from softrig_core import Array
 
 from .transmission import _line
 
-DURATION, STEP, EVERY, SEGMENTS = 35.0, 0.01, 5, 20  # s, s, steps a sample, pieces of the input
-VOLUME, HOLDUP, COLD, HEAT = 3.0, 500.0, 60.0, 4.2  # m3, kg of cooling water, its temperature in degC, kJ/(kg K)
+DURATION, STEP, EVERY, SEGMENTS = 35.0, 0.01, 5, 20  # s, s, steps for each sample, pieces of the input
+VOLUME, HOLDUP, COLD, HEAT = 3.0, 500.0, 60.0, 4.2  # m^3, kg of cooling water, its temperature in degC, kJ/(kg K)
 GAS, FLOW, MOST_FLOW = 0.461526, 107.8880952381, 200.0  # kJ/(kg K) of steam, kg/s of cooling water
-START, HOT, WANTED, CHANGED = 90.0, 80.0, 87.0, 2.0  # kPa and degC at first, kPa that is wanted from so many s on
-ACTUATOR, SENSOR, POLE = 1.0, 0.5, 10.0  # s, s, 1/s of the network's delays 1/(s + 10)
+START, HOT, WANTED, CHANGED = 90.0, 80.0, 87.0, 2.0  # initial kPa and degC, new set point in kPa and its time in s
+ACTUATOR, SENSOR, POLE = 1.0, 0.5, 10.0  # s, s, and the pole of the network's delays 1/(s + 10) in 1/s
 
 PRESSURES = np.array([50.0, 60, 70, 80, 90, 100, 110])  # kPa
 BOILING = np.array([81.3167, 85.9258, 89.9315, 93.4854, 96.6870, 99.6059, 102.2923])  # degC
 EVAPORATION = np.array([2305.42, 2293.64, 2283.30, 2274.05, 2265.65, 2257.92, 2250.76])  # kJ/kg
 
-IN, OUT = (-3.7742393716738434, 5.7997431225043385), (-30.855068745036114, 66.87926496595296)  # each to -1 to 1
+# Both are scaled to -1 to 1.
+IN, OUT = (-3.7742393716738434, 5.7997431225043385), (-30.855068745036114, 66.87926496595296)
 W_IN = np.array([-0.36932254958803395, 0.37111199431650393, -0.52736280584118833])
 W_BACK = np.array(
     [
@@ -93,7 +94,7 @@ def condense(steam: Array) -> Array:
             result[k // EVERY] = x[3]
         t, u = k * h, steam[min(int(k * STEP / DURATION * SEGMENTS), SEGMENTS - 1)]
         a = _slopes(t, x, u)
-        b = _slopes(t, x + h / 2 * a, u)  # the wanted pressure changes between steps
+        b = _slopes(t, x + h / 2 * a, u)  # the set point changes only between two steps
         c = _slopes(t, x + h / 2 * b, u)
         d = _slopes(t, x + h * c, u)
         x = x + h / 6 * (a + 2 * b + 2 * c + d)

@@ -17,8 +17,8 @@ from .linear import worst_linear_loop
 from .methods import METHODS, Problem, runs_to_violation
 
 BUDGET = 300
-SEEDS = range(200, 220)  # the search was chosen on others (0 to 9)
-SCALE = {"rpm": 100.0}  # rpm, beside mph, so that margins can be compared
+SEEDS = range(200, 220)  # seeds 0 to 9 were used to choose the search
+SCALE = {"rpm": 100.0}  # scale of rpm, so that its margins are comparable with those in mph
 
 
 def problems() -> list[Problem]:

@@ -14,11 +14,13 @@ import numpy as np
 from numba import njit
 from softrig_core import Array
 
-DURATION, STEP, EVERY, SEGMENTS = 50.0, 0.01, 5, 10  # s, s, steps a sample, pieces of each input
-INERTIA, VEHICLE_INERTIA = 0.0219914882835559, 12.09414785731247  # of engine and impeller, and of the vehicle
+DURATION, STEP, EVERY, SEGMENTS = 50.0, 0.01, 5, 10  # s, s, steps for each sample, pieces of each input
+# Inertias of engine and impeller, and of the vehicle.
+INERTIA, VEHICLE_INERTIA = 0.0219914882835559, 12.09414785731247
 FINAL_DRIVE, FRICTION, DRAG, RADIUS = 3.23, 40.0, 0.02, 1.0  # ratio, ft lb, ft lb/mph^2, ft
-MPH = 2.0 * np.pi * RADIUS * 60.0 / 5280.0  # of a wheel at 1 rpm
-SLOWEST, FASTEST, IDLE, WAIT = 600.0, 6000.0, 1000.0, 0.08  # rpm, rpm, rpm, s that a shift is wanted before it comes
+MPH = 2.0 * np.pi * RADIUS * 60.0 / 5280.0  # speed of a wheel at 1 rpm
+# rpm, rpm, rpm, s for which the condition of a shift must hold.
+SLOWEST, FASTEST, IDLE, WAIT = 600.0, 6000.0, 1000.0, 0.08
 
 THROTTLES = np.array([0.0, 20, 30, 40, 50, 60, 70, 80, 90, 100])  # percent
 SPEEDS = np.array([800.0, 1200, 1600, 2000, 2400, 2800, 3200, 3600, 4000, 4400, 4800])  # rpm

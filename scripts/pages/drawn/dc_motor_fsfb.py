@@ -18,7 +18,7 @@ def draw(folder: Path) -> None:
     axis = figure.subplots()
     for k, (name, (scenario, rise)) in enumerate(PUBLISHED.items()):
         t, y = simulate(scenario).signals[POSITION]
-        t, y = t[t <= 7.0], y[t <= 7.0]  # the paper's record
+        t, y = t[t <= 7.0], y[t <= 7.0]  # the record in the paper ends here
         y = y / y[-1]
         tenth = float(np.interp(0.1, y, t))
         axis.plot(t, y, f"C{k}", lw=1.2, label=f"{name}, here")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from softrig_core import simulate
 
 SPEED = "motor/state/shaft/velocity"
-# Table II: rise time (10 to 90 %), settling time (2 %), s; overshoot, of the step
+# Table II: rise time (10 to 90 %) and settling time (2 %) in s, overshoot as a part of the step.
 PUBLISHED = {
     "sliding mode": ("dc_motor_smc", 0.6070, 1.0899, 0.0),
     "PID": ("dc_motor_smc_a3", 0.1830, 1.0014, 0.224793),

@@ -23,12 +23,12 @@ from softrig_core.drawing import drawing_for
 from softrig_core.wire.signals import Signal
 
 SCENARIO, START, END, SPEED = "rehab_impedance_r5", 5.0, 17.0, 2.0
-SECONDS = (END - START) / SPEED  # of film
+SECONDS = (END - START) / SPEED  # duration of the film
 FILE = "first_run.svg"
 MONO = "font-family:ui-monospace,'DejaVu Sans Mono',Menlo,Consolas,monospace"
 WIDTH, HEIGHT, FILM, LEFT, RIGHT = 960.0, 560.0, 470.0, 536.0, 940.0
 DEGREES = 180.0 / np.pi
-# signal, factor, role, label: of one picture its signal, unit, place and axis
+# For each curve: signal, factor, role and label; for each picture: signals, unit, place and axis.
 HIP = [
     ("reference/hip/position", DEGREES, "reference", "reference"),
     ("joint_states/hip/position", DEGREES, "accent", "hip of the robot"),

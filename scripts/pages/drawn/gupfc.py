@@ -63,7 +63,7 @@ def one_line(axes: Axes, references: References) -> None:
     _box(axes, 8.3, 4.5, "shunt", f"{abs(flow.v_sh):.4f} / {math.degrees(cmath.phase(flow.v_sh)):.2f}°")
     axes.text(6.9, 5.35, f"{flow.s_sh.real:.3f} {flow.s_sh.imag:+.3f}j", ha="right", fontsize=8, color=BLUE)
     axes.annotate("", (8.1, 5.75), (8.1, 5.0), arrowprops={"arrowstyle": "->", "color": BLUE})
-    # the DC link and its currents
+    # The DC link and its currents.
     axes.plot([8.9, 12.9], [4.5, 4.5], color=RED, lw=2.0)
     axes.plot([10.0, 10.0], [lower + 0.45, upper - 0.45], color=RED, lw=2.0)
     axes.text(12.95, 4.5, f"DC link, v_dc = {abs(flow.v_sh):.4f} pu", va="center", fontsize=8, color=RED)

@@ -10,7 +10,7 @@ from softrig_core import simulate
 
 CRUISE = 0.5  # m/s
 SPEED = "joint_states/translator/velocity"
-# Table III, full load: overshoot in %, which is the dip below 0.5 m/s
+# Table III, full load: overshoot in %, that is, the dip below 0.5 m/s.
 PUBLISHED = {"fuzzy": ("lsrm_fuzzy_n2", 2.8), "MRAC": ("lsrm_fuzzy_n2_mrac", 3.0), "PI": ("lsrm_fuzzy_n2_pi", 6.0)}
 
 

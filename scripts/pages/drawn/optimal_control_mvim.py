@@ -13,13 +13,14 @@ from softrig_systems.optimal_control.plants import step_function
 from softrig_systems.optimal_control.problem import Problem
 from softrig_systems.optimal_control.problems import find
 
-# Tables I, III and VI: J_i from i = 1 on
+# Tables I, III and VI: J_i for i = 1, 2, ...
 PUBLISHED_J = {
     "scalar": (0.25000, 0.25000, 0.23493, 0.23493, 0.23533),
     "spacecraft": (0.00468052, 0.00467797, 0.00467903, 0.00467886),
     "two_state": (0.417241, 0.410274, 0.427145, 0.431156),
 }
-EXAMPLES = {"scalar": (5, 12), "spacecraft": (4, 8), "two_state": (2, 10)}  # the paper's order and a good one
+# The order of the paper, and one that is accurate.
+EXAMPLES = {"scalar": (5, 12), "spacecraft": (4, 8), "two_state": (2, 10)}
 
 
 def _figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any]:

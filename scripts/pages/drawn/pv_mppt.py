@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from softrig_core import simulate
 
 POWER = "converter/state/p_in/position"
-# Table III, first pattern: power (W) and tracking time (s) of the published run
+# Table III, first pattern: published power (W) and tracking time (s).
 PUBLISHED = {
     "ISSA": ("pv_mppt", 115.59, 1.22),
     "SSA": ("pv_mppt_ssa", 115.58, 1.35),

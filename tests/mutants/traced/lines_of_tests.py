@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import sitecustomize as lines
 
-reports = []  # outcomes of the phases of the test that runs
+reports = []  # outcomes of the phases of the running test
 
 
 def pytest_sessionstart(session):
@@ -74,14 +74,14 @@ def pytest_runtest_protocol(item):
             "lines": {file: sorted(numbers) for file, numbers in executed.items()},
         }
         out = os.open(os.environ["SOFTRIG_TRACED_TESTS"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-        os.write(out, (json.dumps(test) + "\n").encode())  # in one piece: several workers write
+        os.write(out, (json.dumps(test) + "\n").encode())  # in one call, as several workers write to the file
         os.close(out)
 
 
 def _of_processes(nodeid):
     """Lines that processes of this test have executed, read from their files, which are then removed."""
     for file in Path(lines.FOLDER).iterdir():
-        with suppress(FileNotFoundError):  # another worker has read its own
+        with suppress(FileNotFoundError):  # another worker has read and removed its file
             head, *reported = file.read_text().splitlines() or [""]
             if head == f"# {nodeid}":
                 file.unlink()

@@ -10,11 +10,11 @@ import sys
 from contextlib import suppress
 from functools import cache
 
-FOLDER = os.environ.get("SOFTRIG_TRACED")  # where what is found goes; without it nothing happens here
+FOLDER = os.environ.get("SOFTRIG_TRACED")  # folder for the results; without it nothing is traced
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__)))))
 events = sys.monitoring
-found = {}  # of the test that runs here: numbers of lines by file
-_out = [-1]  # descriptor, in a process that a test has started
+found = {}  # executed lines by file, of the test that runs in this process
+_out = [-1]  # descriptor of the results in a process that a test has started
 
 
 @cache
@@ -34,7 +34,7 @@ def told(code, line):
         if _out[0] < 0:
             found.setdefault(file, set()).add(line)
         else:
-            with suppress(OSError):  # what runs here may have closed it
+            with suppress(OSError):  # the traced program may have closed it
                 os.write(_out[0], f"{file}:{line}\n".encode())
     return events.DISABLE
 
@@ -58,7 +58,8 @@ def child():
     """Write to a file of this process from here on: it may end at any time."""
     name = os.environ.get("PYTEST_CURRENT_TEST", "")
     opened = os.open(f"{FOLDER}/{os.getpid()}", os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
-    _out[0] = fcntl.fcntl(opened, fcntl.F_DUPFD_CLOEXEC, 500)  # not one that a test gives to a stream that it closed
+    # A high number, which a test does not reuse after it has closed a stream.
+    _out[0] = fcntl.fcntl(opened, fcntl.F_DUPFD_CLOEXEC, 500)
     os.close(opened)
     os.write(_out[0], f"# {name.rpartition(' ')[0]}\n".encode())
     events.restart_events()

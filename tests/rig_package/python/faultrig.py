@@ -227,7 +227,7 @@ class Analyst(Block):
     INPUTS = (array("record", "lag/record", {"k": 3}, "m", held=True, sporadic=True),)
     OUTPUTS = (joint_state("result", "lag/result", ["x"], position="m", sporadic=True),)
 
-    def update(self, x, t, record):  # at the end; in real time a delayed node sees the record before
+    def update(self, x, t, record):  # only published at the end; in real time a delayed node sees the record earlier
         return x, {"result": (record[1] - record[0],)} if record else {}
 
     finish = update
