@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -624,13 +625,13 @@ class Differences:
 
     def states(self) -> tuple[list[int], Array, Array]:
         """Return the places of the states that the outputs depend on, A, and the rows of the outputs."""
-        for name in [self.link] if self.link else []:
-            self._signal(name)
+        if self.link:
+            self._find(self.link)
         self._explore()
         if self.link and not self._loops():
             raise RunError(f"{self.map.rig.scenario.name}: {self._no_loop()}")
         for name in self.inputs:
-            self._signal(name)
+            self._find(name)
         self._explore()
         on = self._on()
         full = self._square(on)
@@ -663,7 +664,7 @@ class Differences:
                 if len(waiting) + len(self.columns) > TRIED:
                     self._too_many([*waiting, *self._on()])
                 i = waiting.pop()
-                self._number(i)
+                self._find(i)
                 waiting |= {int(j) for j in np.flatnonzero(self.columns[i][0])} - self.columns.keys()
             waiting = self._dwarfed()
 
@@ -691,7 +692,7 @@ class Differences:
         """Return A at the present `start` of the map."""
         self._begin()
         for i in kept:
-            self._number(i)
+            self._find(i)
         return self._square(kept)
 
     def _square(self, on: list[int]) -> Array:
@@ -721,7 +722,10 @@ class Differences:
             C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
         rows = len(self.outputs)
         judged = _between(a, b, c) if self.link else np.ones(len(kept), bool)
-        apart, received = self._variation(kept, A, C[:rows], judged)
+        runs = self._apart(kept, COMPARED_PERIODS)
+        apart, received = (
+            self._compared(kept, runs, repeat((A, C[:rows])), judged, CHECKED) if kept else (0.0, [0.0] * rows)
+        )
         reasons = self._left_out(kept, A, C[:rows], apart, received)
         on = [k for k, name in enumerate(self.outputs) if name not in reasons]
         names = [m.names[i] for i in kept]
@@ -766,31 +770,13 @@ class Differences:
                     )
         return f"no change of {link} comes back there {after}: on the way something is at a limit, or waits"
 
-    def _signal(self, name: str) -> None:
-        if math.isnan(self.published[name]):
-            raise RunError(
-                f"{self.map.rig.scenario.name}: {name} is not published at {self.map.t:g} s, so no offset can be added"
-            )
-        size = _power(abs(self.published[name]) or 1.0)
-
-        def shifted(height: float) -> tuple[Array, Array, float, str]:
-            added = {name: height}
-            x, outputs = self.map(self.map.start, added, self.fixed)
-            return x, np.array([outputs[s] for s in self.measured]), height, self._parted(self.map.start, added)
-
-        self.columns[name], self.steps[name] = self._column(name, shifted, size)
-
-    def _number(self, i: int) -> None:
-        begin = self.map.start
-        size = _power(float(self.map.sizes[i]) or 1.0)
-
-        def shifted(height: float) -> tuple[Array, Array, float, str]:
-            moved = begin.copy()
-            moved[i] += height
-            x, outputs = self.map(moved, {}, self.fixed)
-            return x, np.array([outputs[s] for s in self.measured]), float(moved[i] - begin[i]), self._parted(moved, {})
-
-        self.columns[i], self.steps[i] = self._column(i, shifted, size)
+    def _moved(self, key: int | str, height: float) -> tuple[Array, dict[str, float]]:
+        """Return what the map gets when a number of its start, or a signal, is moved."""
+        if isinstance(key, str):
+            return self.map.start, {key: height}
+        start = self.map.start.copy()
+        start[key] += height
+        return start, {}
 
     def _parted(self, numbers: Array, added: Mapping[str, float]) -> str:
         """Name a value that is not a float, changes with the moved value, and has an effect; empty if there is none."""
@@ -800,7 +786,19 @@ class Differences:
         name = next((new for (new, x), (_, y) in zip(now, before, strict=False) if x != y), (now + before)[-1][0])
         return name if self.map.follows(numbers, added, self.fixed) else ""
 
-    def _column(self, key: int | str, shifted: Any, size: float) -> tuple[tuple[Array, Array], float]:
+    def _find(self, key: int | str) -> None:
+        """Find the column of a number of the start, or of a signal, and the step that fits it."""
+        m, fixed = self.map, self.fixed
+        if isinstance(key, str) and math.isnan(self.published[key]):
+            raise RunError(f"{m.rig.scenario.name}: {key} is not published at {m.t:g} s, so no offset can be added")
+        size = _power(abs(self.published[key] if isinstance(key, str) else float(m.sizes[key])) or 1.0)
+
+        def shifted(height: float) -> tuple[Array, Array, float, str]:
+            start, added = self._moved(key, height)
+            x, outputs = m(start, added, fixed)
+            width = height if isinstance(key, str) else float(start[key] - m.start[key])
+            return x, np.array([outputs[s] for s in self.measured]), width, self._parted(start, added)
+
         best: tuple[float, tuple[Array, Array], float] | None = None
         before: tuple[Array, Array] | None = None
         stepping = ""
@@ -833,16 +831,15 @@ class Differences:
                     break
             before = now
         if best is None:
-            name, rig = self.map.names[key] if isinstance(key, int) else key, self.map.rig.scenario.name
+            name, rig = m.names[key] if isinstance(key, int) else key, m.rig.scenario.name
             if stepping:
                 raise RunError(
-                    f"{rig}: {stepping} goes along with {name} at {self.map.t:g} s, however little that is moved, and "
+                    f"{rig}: {stepping} goes along with {name} at {m.t:g} s, however little that is moved, and "
                     "is no float: whole numbers, words and switches have no linear view, and what follows from it "
                     "would be missing there; keep it as a float"
                 )
-            raise RunError(f"{rig}: {name} cannot be moved at {self.map.t:g} s, however little")
-        self.errors[key] = best[0]
-        return best[1], best[2]
+            raise RunError(f"{rig}: {name} cannot be moved at {m.t:g} s, however little")
+        self.errors[key], self.columns[key], self.steps[key] = best
 
     def _off(self, kept: list[int]) -> Array:
         """Return the offset of each state for the check in which all states are moved together."""
@@ -865,20 +862,30 @@ class Differences:
         for (up, heard_up), (down, heard_down) in zip(*courses, strict=True):
             yield 0.5 * (up - down), 0.5 * (heard_up - heard_down)
 
-    def _variation(self, kept: list[int], A: Array, C: Array, judged: NDArray[np.bool_]) -> tuple[float, list[float]]:
-        """Compare the linear model with the rig when all states are moved together, in both directions."""
-        if not len(kept):
-            return 0.0, [0.0] * len(C)
+    def _compared(
+        self, kept: list[int], runs: Iterable[tuple[Array, Array]], matrices: Iterable[Any], judged: Any, until: int
+    ) -> tuple[float, list[float]]:
+        """Compare the linear model with the rig when all states are moved together, in both directions.
+
+        Parameters
+        ----------
+        runs : iterable of (array, array)
+            See `_apart`.
+        matrices : iterable of (array, array)
+            A and the rows of the outputs in each period.
+        judged : index
+            Which states count, in the first `until` periods.
+        """
         off, sizes = self._off(kept), self._sizes(kept)
         worst = largest = 0.0
         simulated, predicted = [], []
-        for k, (moved, received) in enumerate(self._apart(kept, COMPARED_PERIODS)):
+        for k, ((moved, received), (A, C)) in enumerate(zip(runs, matrices, strict=False)):
             simulated.append(received)
             predicted.append(C @ off)
             off = A @ off
-            if k < CHECKED and judged.any():
-                worst = max(worst, float(np.abs((moved - off) / sizes)[judged].max()))
-                largest = max(largest, float(np.abs(moved / sizes)[judged].max()))
+            if k < until:
+                worst = max(worst, float(np.abs((moved - off) / sizes)[judged].max(initial=0.0)))
+                largest = max(largest, float(np.abs(moved / sizes)[judged].max(initial=0.0)))
         return worst / largest if largest else 0.0, shares(np.array(simulated), np.array(predicted))
 
     def _sizes(self, kept: list[int]) -> Array:
@@ -929,13 +936,21 @@ class Differences:
     def rows(self, kept: list[int]) -> tuple[Array, Array]:
         """Return A and the rows of the outputs at the map's current `start`, with the known step sizes."""
         self._begin()
+        return self._slopes(kept, kept)
+
+    def _slopes(self, keys: Sequence[int | str], kept: list[int]) -> tuple[Array, Array]:
+        """Return columns of the states and of the outputs at the map's current `start`, with the known step sizes."""
         columns = []
-        for i in kept:
+        for key in keys:
             # A new search over all step sizes would take up to eight times as many runs for each column and period.
-            up, down = (self.map(self._moved(i, sign), {}, self.fixed) for sign in (1.0, -1.0))
-            columns.append(self._slope(up, down, 2.0 * self.steps[i], kept))
-        A, C = (np.array(part).T for part in zip(*columns, strict=True)) if columns else (np.empty((0, 0)),) * 2
-        return A, C[: len(self.outputs)] if len(kept) else np.empty((len(self.outputs), 0))
+            up, down = (self.map(*self._moved(key, sign * self.steps[key]), self.fixed) for sign in (1.0, -1.0))
+            y = np.array([up[1][s] - down[1][s] for s in self.outputs])
+            columns.append([part / (2.0 * self.steps[key]) for part in (up[0][kept] - down[0][kept], y)])
+        x, y = (
+            np.array([c[k] for c in columns]).T.reshape(n, len(keys))
+            for k, n in enumerate((len(kept), len(self.outputs)))
+        )
+        return x, y
 
     def along(self, periods: int) -> LinearAlong:
         """Find A, B, C and D at each of some periods, and compare the linear model with the rig."""
@@ -943,21 +958,13 @@ class Differences:
         kept = self._reached(self.states()[0], periods)
         if not kept:
             raise RunError(f"{m.rig.scenario.name}: no output depends on a state at {t:g} s")
-        sizes, off = self._sizes(kept), self._off(kept)
-        moved = list(self._apart(kept, periods))
-        results = []
-        worst = largest = 0.0
-        simulated, predicted = [], []
-        for x, y in moved:
-            (A, C), (B, D) = self.rows(kept), self.driven(kept)
-            results.append((A, B, C, D))
-            simulated.append(y)
-            predicted.append(C @ off)
-            off = A @ off
-            worst = max(worst, float(np.abs((x - off) / sizes).max()))
-            largest = max(largest, float(np.abs(x / sizes).max()))
-            if len(results) < periods:
+        runs, results = list(self._apart(kept, periods)), []
+        for k in range(periods):
+            if k:
                 m.advance()
+            (A, C), (B, D) = self.rows(kept), self._slopes(self.inputs, kept)
+            results.append((A, B, C, D))
+        apart, errors = self._compared(kept, runs, [(A, C) for A, _, C, _ in results], slice(None), periods)
         A, B, C, D = (np.array(part) for part in zip(*results, strict=True))
         return LinearAlong(
             m.rig.scenario.name,
@@ -970,8 +977,8 @@ class Differences:
             B,
             C,
             D,
-            worst / largest if largest else 0.0,
-            dict(zip(self.outputs, shares(np.array(simulated), np.array(predicted)), strict=True)),
+            apart,
+            dict(zip(self.outputs, errors, strict=True)),
         )
 
     def _reached(self, kept: list[int], periods: int) -> list[int]:
@@ -988,33 +995,10 @@ class Differences:
             if not new:
                 return sorted(reached)
             for i in new - self.columns.keys():
-                self._number(i)
+                self._find(i)
             reached |= new
             if len(reached) > MOST:
                 self._too_many(sorted(reached))
-
-    def driven(self, kept: list[int]) -> tuple[Array, Array]:
-        """Return B and D at the present `start` of the map."""
-        columns = []
-        for name in self.inputs:
-            up, down = (self.map(self.map.start, {name: sign * self.steps[name]}) for sign in (1.0, -1.0))
-            columns.append(self._slope(up, down, 2.0 * self.steps[name], kept))
-        n, m = len(kept), len(self.outputs)
-        B, D = (
-            (np.array(part).T for part in zip(*columns, strict=True))
-            if columns
-            else (np.empty((n, 0)), np.empty((m, 0)))
-        )
-        return B, D[:m]
-
-    def _moved(self, i: int, sign: float) -> Array:
-        moved = self.map.start.copy()
-        moved[i] += sign * self.steps[i]
-        return moved
-
-    def _slope(self, up: Any, down: Any, width: float, kept: list[int]) -> tuple[Array, Array]:
-        y = np.array([up[1][s] - down[1][s] for s in self.measured])
-        return (up[0][kept] - down[0][kept]) / width, y / width
 
 
 def shares(actual: Array, values: Array) -> list[float]:
