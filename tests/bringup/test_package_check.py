@@ -104,5 +104,5 @@ def test_an_object_that_cannot_be_called_is_not_an_executable(monkeypatch):
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda p: p.name)
 def test_every_package_has_such_tests(package):
-    assert f'entry_points("{package.name}")' in (package / "test" / f"test_{package.name}.py").read_text()
+    assert f'package_tests("{package.name}")' in (package / "test" / f"test_{package.name}.py").read_text()
     assert entry_points(package.name)

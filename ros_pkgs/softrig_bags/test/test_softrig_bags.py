@@ -1,19 +1,5 @@
 """What `colcon test` runs of this package alone; the tests of the suite are in tests/ of the repository."""
 
-import pytest
-from softrig_core.rig.package_check import LINTERS, check_entry_point, entry_points, lint
+from softrig_core.rig.package_check import package_tests
 
-
-@pytest.mark.parametrize("point", entry_points("softrig_bags"), ids=lambda p: p.name)
-def test_what_the_package_offers_is_there_and_starts(point):
-    left = check_entry_point(point)
-    if left:
-        pytest.skip(left)
-
-
-@pytest.mark.parametrize("linter", LINTERS)
-def test_a_linter_of_ament_accepts_the_package(linter):
-    status = lint(linter, "softrig_bags")
-    if status is None:
-        pytest.skip("it is not installed")
-    assert status == 0
+pytest_generate_tests, test_entry_point, test_linter = package_tests("softrig_bags")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import importlib.util
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import EntryPoint
 from typing import Any
+from unittest import SkipTest
 
 from ..block.answer import admit
 from ..block.block import Block, Plant
@@ -23,6 +24,28 @@ TICKS = 3  # of each block
 GROUPS = ("console_scripts", "softrig_figures")
 LINTERS = ("flake8", "pep257")  # of ament; the repository itself has ruff and mypy
 IGNORED = "D100 D104 D105 D107 D203 D205 D213 D400 D401 D406 D407 D413"  # as ruff does, see pyproject.toml
+
+
+def package_tests(package: str) -> tuple[Callable[..., None], ...]:
+    """Return pytest's hook with the cases of a package, and the tests of an entry point and of a linter."""
+
+    def cases(metafunc: Any) -> None:
+        if "point" in metafunc.fixturenames:
+            metafunc.parametrize("point", entry_points(package), ids=lambda p: p.name)
+        else:
+            metafunc.parametrize("linter", LINTERS)
+
+    def test_entry_point(point: EntryPoint) -> None:
+        if left := check_entry_point(point):
+            raise SkipTest(left)
+
+    def test_linter(linter: str) -> None:
+        status = lint(linter, package)
+        if status is None:
+            raise SkipTest("it is not installed")
+        assert status == 0
+
+    return cases, test_entry_point, test_linter
 
 
 def entry_points(package: str) -> list[EntryPoint]:
