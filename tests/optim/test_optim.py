@@ -2,18 +2,22 @@
 
 import gc
 import math
+import multiprocessing
 import operator
 import os
 import subprocess
 import sys
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 
 import faultrig
 import numpy as np
 import pytest
 import softrig_optim.sweep as sweeping
-from conftest import PATIENCE, make_scenario, until
+from conftest import PATIENCE, make_scenario
 from hypothesis import given, settings, strategies as st
 from softrig_core import ByHand, Plant, RunError, ScenarioError, rig_of, run_inprocess
 from softrig_core.solver.worker import Worker, _Process
@@ -438,7 +442,20 @@ def test_workers_are_reused_between_batches_and_end_with_the_block():
         started = set(workers._pool._processes)
     assert set.union(*pids) <= started
     assert len(started) <= 2
-    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in started))
+    assert not any(Path(f"/proc/{pid}").exists() for pid in started)
+
+
+@pytest.mark.parametrize("forked", [True, False])
+@pytest.mark.parametrize("cases", [[0.0, 0.0, 0.0], [0.0, 900.0, 900.0]], ids=["all answered", "some still work"])
+def test_nothing_of_the_workers_is_left_when_their_block_has_ended(monkeypatch, forked, cases):
+    """A thread of theirs that ends beside the interpreter can make it wait for a lock forever."""
+    monkeypatch.setattr("softrig_optim.sweep._has_one_thread", lambda: forked)
+    threads = set(threading.enumerate())
+    with Workers(2) as workers:
+        results = workers.stream(time.sleep, cases)
+        assert len(list(islice(results, cases.count(0.0)))) == cases.count(0.0)
+    assert set(threading.enumerate()) == threads
+    assert not multiprocessing.active_children()
 
 
 def test_a_sweep_passes_on_the_failure():

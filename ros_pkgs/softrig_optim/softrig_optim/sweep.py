@@ -44,10 +44,10 @@ LARGEST = 1000  # cases of a chunk
 class Workers:
     """Processes of this machine, or a Dask cluster, that evaluate functions and are reused from batch to batch.
 
-    A process keeps what it has imported or compiled for all later cases. If the ``with`` block ends with an exception,
-    the processes are terminated even while they work. If this process has a single thread, they are forked from it when
-    the block begins and share all its imports; so are those that take the place of killed ones (`Template`). Otherwise
-    they are started fresh with the first case.
+    A process keeps what it has imported or compiled for all later cases. All have ended when the ``with`` block has
+    ended; those that still work are terminated. If this process has a single thread, they are forked from it when the
+    block begins and share all its imports; so are those that take the place of killed ones (`Template`). Otherwise they
+    are started fresh with the first case.
 
     Parameters
     ----------
@@ -78,16 +78,19 @@ class Workers:
             gc.unfreeze()
         return self
 
-    def __exit__(self, kind: object, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._client is not None:
             self._client.close()
         if self._frozen:
             gc.unfreeze()
         if self._pool is not None:
-            for process in list((self._pool._processes or {}).values()) if kind is not None else ():
-                # After an exception no result is read any more, so waiting for a long case would only delay the error.
+            for process in list((self._pool._processes or {}).values()) if self._pool._pending_work_items else ():
+                # No result is read any more, so waiting for a long case would only delay an error, or what follows.
                 process.kill()
-            self._pool.shutdown(wait=False, cancel_futures=True)
+            # The executor's thread must end here. If the interpreter ends beside it, either may find closed what it
+            # wakes the other by; the interpreter then does not wait for the thread, stops it while it holds a lock, and
+            # waits for this lock forever (CPython 3.13.0, `weakref_cb` of concurrent/futures/process.py).
+            self._pool.shutdown(cancel_futures=True)
         if self._template is not None:
             self._template.close()
 
@@ -183,7 +186,7 @@ class Workers:
                 waiting = again + waiting
                 open_.clear()
                 if self._pool is not None:
-                    self._pool.shutdown(wait=False)
+                    self._pool.shutdown()
                 self._pool = None
 
     def _submit(self, function: Callable[[C], R], chunk: Chunk[C]) -> Future[tuple[list[R], float]]:
