@@ -147,7 +147,7 @@ def test_a_recording_has_the_figures_of_a_node_that_stored_the_messages(window):
     kept = run_inprocess(rig, 1, recording)["flux_monitor"].status()
     node = next(m for m in rig.members if m.name == "flux_monitor")
     assert live_figures.is_recorded(node)
-    assert dict(live_figures.measured(node, Signals(recording))) == dict(kept)
+    assert dict(live_figures.Measured(node, 1, lambda: Signals(recording)).status()) == dict(kept)
     assert len(kept) >= 3
     assert "flux_monitor" not in run_inprocess(rig, 1, without={"flux_monitor"})
     rare = rig_of("induction_dtc_short", overrides={"flux_monitor.period": 0.001})

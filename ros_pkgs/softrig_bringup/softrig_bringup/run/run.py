@@ -34,7 +34,6 @@ from softrig_core import (
     run_inprocess,
 )
 from softrig_core.bits import kernels, math_digest
-from softrig_core.block.block import Reports
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.block.scene import scene_of
@@ -43,7 +42,7 @@ from softrig_core.guard import naming, replace
 from softrig_core.native.engine import WATCHES
 from softrig_core.rig.code import fingerprints
 from softrig_core.rig.members import other_names
-from softrig_core.run import live_figures
+from softrig_core.run.live_figures import Measured, is_recorded
 from softrig_core.timebase import SECOND
 from softrig_core.verdict.result import Result
 from softrig_core.wire.parameter_event import recorded
@@ -86,12 +85,11 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
             if listener.progress is not None:
                 listener.progress(t)
 
-        measured = {m.name: m for m in rig.members if live_figures.is_recorded(m)}
+        measured = {m.name: m for m in rig.members if is_recorded(m)}
         steps = dict[str, Step]()
         try:
             with stoppable():
                 steps = run_inprocess(rig, seed, shards, progress, without=measured)
-            run.blocks = steps
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
@@ -104,13 +102,12 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
             run.error = run.error or f"{directory}: {full.strerror or full}"
         run.recording = shards.recording()
         if steps:
-            native = _native_of_watching(steps)
-            run.status = {
-                m.name: _status({}, native, live_figures.measured(m, run.signals))
-                if m.name in measured
-                else status_of(steps[m.name])
-                for m in rig.members
-            }
+            # As observers in a native run, these nodes watch what native code has recorded.
+            natively = any(step.native[0] for step in steps.values())
+            native = 0, WATCHES if natively else next(step.native[1] for step in steps.values())
+            blocks: dict[str, Step | Measured] = {**steps}
+            blocks |= {name: Measured(m, seed, lambda: run.signals, native) for name, m in measured.items()}
+            run.blocks, run.status = blocks, {m.name: status_of(blocks[m.name]) for m in rig.members}
     else:
         from softrig_nodes import run_processes  # runs in process do without what it imports
 
@@ -123,24 +120,13 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     return run
 
 
-def status_of(step: Step) -> dict[str, Any]:
+def status_of(step: Step | Measured) -> dict[str, Any]:
     """Return a block's status at the end of a run in process, as in a node's status file."""
-    return _status(step.reports, step.native, step.status() if isinstance(step.block, Observer) else None)
-
-
-def _status(
-    reports: Reports, native: tuple[int, str], figures: Mapping[str, tuple[float, str]] | None
-) -> dict[str, Any]:
-    content = {"reports": {k: [int(level), text, n] for k, (level, text, n) in reports.items()}, "native": native}
-    if figures is not None:
-        content["figures"] = {k: [v, unit] for k, (v, unit) in figures.items() if math.isfinite(v)}
+    reports = {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()}
+    content: dict[str, Any] = {"reports": reports, "native": step.native}
+    if isinstance(step.block, Observer):
+        content["figures"] = {k: [v, unit] for k, (v, unit) in step.status().items() if math.isfinite(v)}
     return content
-
-
-def _native_of_watching(steps: Mapping[str, Step]) -> tuple[int, str]:
-    """Return how an observer of recorded data ran natively: as such nodes in a native run do."""
-    natively = any(step.native[0] for step in steps.values())
-    return 0, WATCHES if natively else next(step.native[1] for step in steps.values())
 
 
 def tripped(rig: Rig, status: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

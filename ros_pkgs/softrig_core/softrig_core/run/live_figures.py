@@ -103,14 +103,6 @@ def is_recorded(member: Member) -> bool:
     )
 
 
-def measured(member: Member, signals: Signals) -> Mapping[str, tuple[float, str]]:
-    """Return the `Step.status` that a node of figures would have at the end of a completely recorded run."""
-    assert isinstance(member.params, FiguresParams)
-    assert member.schedule.last is not None
-    since = member.schedule.last - round(member.params.window * SECOND)
-    return status_of(figures_in(member.params.given()["figures"]), _Newest(signals, member.inputs, since / SECOND))
-
-
 class Measured(RunningBlock):
     """A node of figures that a completely recorded run did without, see `is_recorded`.
 
@@ -121,15 +113,22 @@ class Measured(RunningBlock):
         Rig seed.
     signals : callable
         Returns the signals of the run.
+    native : (int, str)
+        See `Step`.
     """
 
-    def __init__(self, member: Member, seed: int, signals: Callable[[], Signals]) -> None:
+    def __init__(
+        self, member: Member, seed: int, signals: Callable[[], Signals], native: tuple[int, str] = (0, "")
+    ) -> None:
         super().__init__(member.block(seed))
-        self._member, self._signals = member, signals
+        self._member, self._signals, self.native = member, signals, native
 
     def status(self) -> Mapping[str, tuple[float, str]]:
         """Return the figures that the node would have at the end of the run."""
-        return measured(self._member, self._signals())
+        assert isinstance(self.block, Figures)
+        assert self._member.schedule.last is not None
+        since = self._member.schedule.last - round(self.block.p.window * SECOND)
+        return status_of(self.block.figures(self.x), _Newest(self._signals(), self._member.inputs, since / SECOND))
 
 
 class _Newest(Recent):
