@@ -25,6 +25,7 @@ from softrig_bringup.options.naming import folder_of
 from softrig_bringup.pack import packed
 from softrig_bringup.page.citations import Citation
 from softrig_bringup.page.wiring import Node, Wire, Wiring
+from softrig_bringup.plots.style import Style
 from softrig_bringup.report.record import RunRecord
 from softrig_bringup.results import page as results_page, results
 from softrig_bringup.run import notebook, part, run as runs
@@ -1064,8 +1065,8 @@ def test_pictures_are_drawn_again_with_the_requested_options(lag, monkeypatch, c
     run, asked, name = simulate("lag"), [], "lag/state/x/position"
     plotted = rig_of(run.rig.scenario.having(plots=[{"title": "Position", "signals": {name: "x"}}]))
 
-    def drawn(result, rig, entry, **how):
-        asked.append((entry.title, [*entry.signals], entry.window, how))
+    def drawn(result, rig, entry, style):
+        asked.append((entry.title, [*entry.signals], entry.window, style))
         return SimpleNamespace(
             savefig=lambda file, format, dpi, metadata: file.write(f"{dpi} {format} {metadata}".encode())
         )
@@ -1075,12 +1076,11 @@ def test_pictures_are_drawn_again_with_the_requested_options(lag, monkeypatch, c
     more = ["--width", "50.8", "--font", "8", "--format", "svg", "--csv", "--window", "0", "0.02", "--out", "p"]
     for words in ([name], [name, *more], [], ["--no-title"]):
         assert main(["draw", "plot", ".", *words]) == 0
-    plain = {"font": None, "inches": None, "serif": False}
     assert asked == [
-        ("lag state x position", [name], None, {"title": False} | plain),
-        ("lag state x position", [name], (0.0, 0.02), {"title": False, "font": 8.0, "inches": 2.0, "serif": False}),
-        ("Position", [name], None, {"title": True} | plain),
-        ("Position", [name], None, {"title": False} | plain),
+        ("lag state x position", [name], None, Style(title=False)),
+        ("lag state x position", [name], (0.0, 0.02), Style(False, 8.0, 2.0)),
+        ("Position", [name], None, Style()),
+        ("Position", [name], None, Style(title=False)),
     ]
     of_one = f"pictures/{folder_of([lag.name], [str(lag)])}"
     assert capsys.readouterr().out.splitlines() == [
@@ -1096,7 +1096,7 @@ def test_pictures_are_drawn_again_with_the_requested_options(lag, monkeypatch, c
     def latex(file, format, dpi, metadata):
         raise RuntimeError("no xelatex\nmore")
 
-    monkeypatch.setattr(plot_verb, "plot_entry", lambda *what, **how: SimpleNamespace(savefig=latex))
+    monkeypatch.setattr(plot_verb, "plot_entry", lambda *what: SimpleNamespace(savefig=latex))
     assert main(["draw", "plot", ".", name, "--format", "pgf"]) == 2
     assert "pgf: no xelatex; it needs LaTeX (xelatex), pdf does not" in capsys.readouterr().err
 

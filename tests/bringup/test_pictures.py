@@ -26,7 +26,7 @@ from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.named import Shown
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay, overlay_figures
 from softrig_bringup.plots.pictures import places, plot_entry, plot_run
-from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
+from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, Style, axis_title, style
 from softrig_bringup.report.apart import differing, names
 from softrig_bringup.report.record import RunRecord, read_run
 from softrig_bringup.report.several import differences, groups, overlaid, side_by_side
@@ -132,7 +132,7 @@ def test_a_picture_for_print_is_as_expected():
     """Width, letters and no title as requested; a figure that was not published is reported."""
     marked_scenario = marked()
     run = simulate(rig_of(marked_scenario))
-    figures = [plot_entry(run.signals, run.rig, marked_scenario.plots[0], inches=3.5, font=7.0, title=False)]
+    figures = [plot_entry(run.signals, run.rig, marked_scenario.plots[0], Style(False, 7.0, 3.5))]
     run.recording.topics["lag/command"] = run.recording.topics["lag/command"].before(0)
     figures.append(plot_entry(Signals(run.recording), run.rig, marked_scenario.plots[0]))
     check_expected("pictures/print", (line for figure in figures for line in figure_lines(figure)))

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.image import imread
 from softrig_bringup.cli import main
 from softrig_bringup.plots.pictures import plot_entry
+from softrig_bringup.plots.style import Style
 from softrig_bringup.report.apart import names
 from softrig_bringup.report.record import read_run
 from softrig_bringup.report.run_rig import rig_of_run
@@ -50,7 +51,7 @@ def test_a_run_is_drawn_again_as_it_ran(run, tmp_path, capsys):
 def test_width_letters_and_title_are_as_requested(run, tmp_path):
     rig, result = rig_of_run(run)
     entry = rig.scenario.plots[0]
-    figure = plot_entry(result, rig, entry, title=False, font=8.0, inches=88.0 / 25.4)
+    figure = plot_entry(result, rig, entry, Style(title=False, font=8.0, inches=88.0 / 25.4))
     assert figure.get_size_inches()[0] == pytest.approx(88.0 / 25.4)
     assert not figure._suptitle
     sizes = {t.get_fontsize() for ax in figure.axes for t in (*ax.get_legend().get_texts(), ax.yaxis.label)}

@@ -189,7 +189,6 @@ class Axes:
 
     Parameters
     ----------
-    figure : Figure
     place : Place, optional
         In its grid; none: the whole.
     share : Axes, optional

@@ -15,8 +15,8 @@ from .axes import draw, legend
 from .canvas import Axes, Figure
 from .curves import Curve, inside
 from .named import LEAST, Shown
-from .pictures import fitted, letters, time_scale
-from .style import axis_title, quantity
+from .pictures import fitted, time_scale
+from .style import PLAIN, Style, axis_title, quantity
 from .svg import svg
 
 if TYPE_CHECKING:
@@ -58,13 +58,7 @@ def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str,
 
 
 def overlay_figures(
-    runs: Sequence[Overlay],
-    note: str = "",
-    *,
-    title: bool = True,
-    font: float | None = None,
-    inches: float | None = None,
-    serif: bool = False,
+    runs: Sequence[Overlay], note: str = "", style: Style = PLAIN
 ) -> Iterator[tuple[PlotEntry, Printed]]:
     """Draw by matplotlib each plot over time that at least two runs share.
 
@@ -75,11 +69,9 @@ def overlay_figures(
     ----------
     note : str
         Behind each title.
-    title, font, inches, serif
-        See `softrig_bringup.plots.pictures.plot_entry`.
     """
-    for entry, figure in _figures(runs, letters(font, inches)):
-        yield entry, fitted(figure, entry.title + note if title else "", font, inches, serif)
+    for entry, figure in _figures(runs, style.letters):
+        yield entry, fitted(figure, entry.title + note, style)
 
 
 def _figures(runs: Sequence[Overlay], width: int) -> Iterator[tuple[PlotEntry, Figure]]:

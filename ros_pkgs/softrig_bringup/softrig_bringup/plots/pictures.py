@@ -21,7 +21,7 @@ from .curves import Curve, Source, by_unit, check_plots, reduced
 from .marks import Mark, marks_of
 from .named import OVERVIEW, plot_name
 from .printed import printed
-from .style import axis_title, quantity
+from .style import PLAIN, Style, axis_title, quantity
 from .svg import svg
 
 if TYPE_CHECKING:
@@ -30,42 +30,17 @@ if TYPE_CHECKING:
 UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal files
 
 
-def plot_entry(
-    signals: Signals,
-    rig: Rig,
-    entry: PlotEntry,
-    *,
-    title: bool = True,
-    font: float | None = None,
-    inches: float | None = None,
-    serif: bool = False,
-) -> Printed:
-    """Draw one plot of a run by matplotlib.
-
-    Parameters
-    ----------
-    signals, rig
-        See `plot_run`.
-    font : float, optional
-        Size of the letters, points.
-    inches : float, optional
-        Width; the height follows, not below what the rows need.
-    serif : bool
-        Letters like Times.
-    """
+def plot_entry(signals: Signals, rig: Rig, entry: PlotEntry, style: Style = PLAIN) -> Printed:
+    """Draw one plot of a run by matplotlib; see `plot_run` for signals and rig."""
     source = Source(signals, rig)
     marks = marks_of(rig, signals)
-    figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks, letters(font, inches))
-    return fitted(figure, entry.title if title else "", font, inches, serif)
+    figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks, style.letters)
+    return fitted(figure, entry.title, style)
 
 
-def letters(font: float | None, inches: float | None) -> int:
-    """Return how many letters of a legend fit into a picture of a given width."""
-    return int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
-
-
-def fitted(drawn: Figure, title: str, font: float | None, inches: float | None, serif: bool) -> Printed:
+def fitted(drawn: Figure, title: str, style: Style) -> Printed:
     """Draw a picture by matplotlib, with a width, a size and kind of letters, and a title."""
+    wanted, font, inches, serif = style
     sizes = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
     figure = printed(drawn, sizes | (look.SERIF if serif else {}))
     if inches:
@@ -74,7 +49,7 @@ def fitted(drawn: Figure, title: str, font: float | None, inches: float | None, 
     for ax in figure.axes if font else ():
         for text in (*ax.texts, *(box.get_texts() if (box := ax.get_legend()) else ())):
             text.set_fontsize(font)
-    if title:
+    if wanted and title:
         figure.suptitle(title, x=0.008, ha="left", fontsize=font or 12, fontweight="bold")
     fold_exponents(figure)
     return figure

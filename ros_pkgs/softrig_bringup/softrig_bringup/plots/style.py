@@ -37,6 +37,34 @@ class Paper(NamedTuple):
     serif: bool
 
 
+class Style(NamedTuple):
+    """Requests for a picture drawn by matplotlib.
+
+    Parameters
+    ----------
+    title : bool
+        Whether it has its title.
+    font : float, optional
+        Size of the letters, points.
+    inches : float, optional
+        Width; the height follows, not below what the rows need.
+    serif : bool
+        Letters like Times.
+    """
+
+    title: bool = True
+    font: float | None = None
+    inches: float | None = None
+    serif: bool = False
+
+    @property
+    def letters(self) -> int:
+        """Return how many letters of a legend fit into its width."""
+        return int(110 * (self.inches or WIDTH) / WIDTH * 9.0 / (self.font or 9.0))
+
+
+PLAIN = Style()  # as on a page
+
 # the widths are those of the publishers' instructions for artwork
 PAPERS = {
     "ieee": Paper((88.9, 182.0), 8.0, True),

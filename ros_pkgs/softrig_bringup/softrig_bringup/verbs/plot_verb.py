@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from softrig_core import ScenarioError, Signals
 from softrig_core.guard import replace
@@ -21,7 +21,7 @@ from ..plots.curves import Curve, Source, inside, shown, with_plots
 from ..plots.named import plot_name
 from ..plots.overlay import Overlay, overlay_figures
 from ..plots.pictures import plot_entry, write_figure
-from ..plots.style import PAPERS
+from ..plots.style import PAPERS, Style
 from ..report.apart import names as run_names
 from ..report.looked import record_of_pack
 from ..report.record import read_run
@@ -31,15 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MM = 25.4  # in an inch
-
-
-class Style(NamedTuple):
-    """Style of pictures: font size in points, width in inches, and the font family for publishers."""
-
-    title: bool
-    font: float | None
-    inches: float | None
-    serif: bool
 
 
 def main(options: argparse.Namespace) -> int:
@@ -106,7 +97,7 @@ def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, style:
     _check_window(options.window, [result])
     source = Source(result, rig)
     for entry in rig.scenario.plots:
-        figure = plot_entry(result, rig, entry, **style._asdict())
+        figure = plot_entry(result, rig, entry, style)
         yield entry, figure, _table([source.shown(entry, n) for n in entry.signals], source)
 
 
@@ -120,7 +111,7 @@ def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Na
         rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
         overlays.append(Overlay(label, label, rig.scenario.plots, shown(rig), result))
     _check_window(options.window, [over.signals for over in overlays])
-    for entry, figure in overlay_figures(overlays, **style._asdict()):
+    for entry, figure in overlay_figures(overlays, style=style):
         yield entry, figure, _side_by_side(entry, overlays)
 
 
