@@ -21,7 +21,6 @@ def rehearse(block_class: type[Block], params: Any, name: str, always: bool = Fa
 
     Parameters
     ----------
-    params : BlockParams
     always : bool
         Run the tick for any class: in real time, an import in the first tick also makes it late.
 

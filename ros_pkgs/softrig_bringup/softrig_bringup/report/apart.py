@@ -20,7 +20,6 @@ def names(runs: Sequence[tuple[Path, RunRecord]], labels: Sequence[str] = ()) ->
 
     Parameters
     ----------
-    runs : sequence of (Path, RunRecord)
     labels : sequence of str
         Names of the first runs.
 

@@ -95,7 +95,6 @@ class Log:
 
     Attributes
     ----------
-    path, total
     passed_over : int
         Number of lines that are not rows of this study or repeat a row.
     """

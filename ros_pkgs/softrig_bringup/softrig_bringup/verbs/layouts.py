@@ -74,7 +74,6 @@ class Plotted:
         With the unit.
     unit : str
         Of all curves, as people read it; empty for a number without one.
-    curves : tuple of (topic, port, label of the value, what it is called)
     over : str
         Label of the value on the x axis, of the same topic; empty for time.
     """

@@ -29,10 +29,8 @@ class Knob:
 
     Parameters
     ----------
-    node, name, unit, doc : str
     value : Any
         The newest value that the node has accepted.
-    kind : type
     bounds : (float, float)
         As declared; infinite where nothing was.
     idle : bool
@@ -94,7 +92,6 @@ class Control:
 
     Parameters
     ----------
-    rig : Rig
     ask : callable
         Called with a request (`softrig_nodes.ros.remote`) and a callback for its answer; None if requests are not
         possible.
@@ -113,8 +110,6 @@ class Control:
         By `Knob.key`, those of the controllers first.
     roles : dict of str to str
         Role of each node with a knob, see `role`.
-    buttons : list of (node, name)
-    entries : deque of Entry
     lines : int
         Number of lines so far.
     goes_back : bool

@@ -39,7 +39,6 @@ class SessionSource(Growing):
 
     Parameters
     ----------
-    session : Session
     held : bool
         Whether the run is paused at the start.
     pace : float
@@ -54,7 +53,6 @@ class SessionSource(Growing):
 
     Attributes
     ----------
-    control : Control
     branched : list of dict
         Each return to an earlier time, as in `Run.branched`. The abandoned branch is stored as a folder or, if it had
         not ended and was tuned by hand, as a scenario in the folder of the run.
@@ -236,8 +234,6 @@ def show_here(rig: Rig, placement: Placement, address: str, folder: ResultsFolde
 
     Parameters
     ----------
-    rig : Rig
-    placement : Placement
     address : str
         ``host:port``.
     folder : ResultsFolder

@@ -51,9 +51,6 @@ class Page:
 
     Parameters
     ----------
-    document : Document
-    source : Source
-    control : Control
     figures : callable
         Returns the newest figures, and whether they are provisional.
     author : str

@@ -31,8 +31,6 @@ class Picture:
 
     Parameters
     ----------
-    entry : PlotEntry
-    rig : Rig
     time : Range1d
         Shared by all pictures over time.
     cursor : Span

@@ -27,10 +27,8 @@ class RunPages:
 
     Parameters
     ----------
-    scenario : Scenario
     directory : Path
         Where the nodes write their files.
-    placement : Placement
     address : str
         ``host:port``.
     """

@@ -28,7 +28,6 @@ class Process:
         Of a container: its nodes.
     parameters : list of str
         Files.
-    remappings : list of (str, str)
     variables : mapping of str to str
         Of its environment, besides those of the launch.
     kind : {"rig", "viewer"}

@@ -55,12 +55,10 @@ class Watched(BaseModel):
 
     Parameters
     ----------
-    scenario : dict
     domain : int
         ROS_DOMAIN_ID.
     directory : str
         Where the nodes write their files.
-    realtime, paused : bool
     how : str
         Mode and place, in words.
     pace : float
@@ -114,7 +112,6 @@ class _Token(AuthProvider):  # type: ignore[misc]
 
     Parameters
     ----------
-    token : str
     names : tuple of str
         Host names under which the page may be requested; empty: any. A foreign host name may also resolve to this host.
     """
@@ -179,8 +176,6 @@ class Pages:
 
     Parameters
     ----------
-    source : Source
-    control : Control
     how : str
         Mode and place of the run.
     address : str

@@ -30,7 +30,6 @@ class Growing:
 
     Parameters
     ----------
-    rig : Rig
     held : bool
         Whether each message represents a period. In lockstep a node lags behind the others only by the time it needs to
         pass on its records.
@@ -141,10 +140,8 @@ class Live(Growing):
 
     Parameters
     ----------
-    rig : Rig
     directory : Path
         Where the nodes write their files.
-    realtime : bool
     """
 
     def __init__(self, rig: Rig, directory: Path, realtime: bool) -> None:
@@ -189,7 +186,6 @@ class Recorded:
 
     Parameters
     ----------
-    rig : Rig
     signals : Signals
         Of its bag.
     content : mapping

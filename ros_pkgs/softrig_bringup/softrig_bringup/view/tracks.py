@@ -22,10 +22,6 @@ class Track:
     limit : int
         Largest number of stored messages. If there are more, the older half is thinned: of four messages two remain,
         with the lowest and the highest value of each channel, so that no peak is lost.
-
-    Attributes
-    ----------
-    thinned : bool
     """
 
     def __init__(self, limit: int = ROWS) -> None:

@@ -24,10 +24,6 @@ WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shar
 class Account:
     """The log and the status file of a node.
 
-    Parameters
-    ----------
-    node : Adapter
-
     Attributes
     ----------
     watches : int

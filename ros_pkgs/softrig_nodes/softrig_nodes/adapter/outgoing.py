@@ -27,14 +27,11 @@ class Outgoing:
 
     Parameters
     ----------
-    node : Adapter
-    outputs : list of Output
     owns_clock : bool
         Whether it publishes /clock.
 
     Attributes
     ----------
-    clock_output, tick_output : Output
     acknowledge : callable or None
         Acknowledges a tick by its stamp, with the sporadic outputs that published at it; None: no node waits for that.
     alone : bool

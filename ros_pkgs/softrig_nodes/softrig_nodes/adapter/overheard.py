@@ -34,7 +34,6 @@ class Overheard(Input):
     ----------
     node : Adapter
         The recorder.
-    link : OverheardLink
     number : int
         Of the topic in the record.
     read : bool
@@ -42,7 +41,6 @@ class Overheard(Input):
 
     Attributes
     ----------
-    read_here : bool
     used : bool
         Whether the reader records the messages itself.
     """
@@ -133,7 +131,6 @@ class OverheardTopics:
 
     Parameters
     ----------
-    node : Adapter
     numbers : sequence of int
         Of the topics in the record, in the order of `Links.overheard`.
     """

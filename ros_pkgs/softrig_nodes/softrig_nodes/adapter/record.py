@@ -43,7 +43,6 @@ class Record:
         Numbers of the topics of external nodes.
     clock : int
         Number of /clock.
-    sink : Sink or None
     shard : ShardWriter or None
         The sink, if it is the file that the options name.
     add_row : callable or None

@@ -30,7 +30,6 @@ def leave(nodes: Sequence[Node], status: int) -> NoReturn:
 
     Parameters
     ----------
-    nodes : sequence of rclpy.node.Node
     status : int
         Exit status.
     """

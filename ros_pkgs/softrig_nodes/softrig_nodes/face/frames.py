@@ -20,12 +20,7 @@ PERIOD = SECOND // 30  # ns of the wall between two sets of moving frames: a vie
 
 
 class Frames:
-    """Publishes fixed frames on /tf_static, latched, and moving frames on /tf while it has subscribers.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    """
+    """Publishes fixed frames on /tf_static, latched, and moving frames on /tf while it has subscribers."""
 
     def __init__(self, node: Node, adapter: Adapter) -> None:
         self._adapter = adapter

@@ -150,7 +150,6 @@ class Tolerances:
 
     Parameters
     ----------
-    tolerances : sequence of control_msgs/JointTolerance
     joints : sequence of str
         Of the reference.
 

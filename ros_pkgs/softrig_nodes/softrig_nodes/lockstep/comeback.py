@@ -41,10 +41,6 @@ SAID = 2  # newest messages of each topic that are repeated
 class LastPublished:
     """Stores what a node published last on each topic.
 
-    Parameters
-    ----------
-    node : Adapter
-
     Attributes
     ----------
     silent : bool

@@ -18,10 +18,6 @@ SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
 class Turns:
     """The loop of one process.
 
-    Parameters
-    ----------
-    nodes : sequence of Adapter
-
     Attributes
     ----------
     ticks : iterator

@@ -15,7 +15,6 @@ class Answering:
 
     Parameters
     ----------
-    table : LiveSenders
     answer : callable
         Called with the time of the tick that must run now, ns from t = 0.
     """

@@ -26,13 +26,11 @@ class LiveSenders:
 
     Parameters
     ----------
-    node : Adapter
     clock : callable
         Returns the wall-clock time, ns.
 
     Attributes
     ----------
-    rows : list of Live
     stale : set of str
         Inputs whose senders have been silent for too long.
     window : int
@@ -108,11 +106,6 @@ class LiveSenders:
 
 class Live(Sender):
     """A sender whose newest messages are used.
-
-    Parameters
-    ----------
-    table : LiveSenders
-    port : Port
 
     Attributes
     ----------

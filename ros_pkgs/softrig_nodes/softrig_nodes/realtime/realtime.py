@@ -51,12 +51,7 @@ class Unjudged(Protocol):
 
 
 class Realtime(Link):
-    """Makes the ticks of a node ready: by the wall clock, and for a controller also by the messages that are due.
-
-    Parameters
-    ----------
-    node : Adapter
-    """
+    """Makes the ticks of a node ready: by the wall clock, and for a controller also by the messages that are due."""
 
     # Writing the file may take longer than a tick.
     status_every = 4

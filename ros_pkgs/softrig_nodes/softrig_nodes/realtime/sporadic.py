@@ -78,7 +78,6 @@ class Acknowledgements(Sender):
 
     Parameters
     ----------
-    table : LiveSenders
     name : str
         The node.
     rows : sequence of (Sporadic, str)

@@ -24,7 +24,6 @@ class Stand:
 
     Parameters
     ----------
-    node : Adapter
     goes_by : callable
         Gets the clock that the node uses from now on: a function that returns ns.
     """

@@ -35,7 +35,6 @@ class Remote:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     answer : callable
         Gets the id of a request, whether it was done (None: no answer), and the reason if it was not.
     patience : float

@@ -33,7 +33,6 @@ class Input(Reader):
         Whether a message has arrived.
     refused : int
         Messages that were rejected before they reached the block.
-    last_refusal : str
     """
 
     def __init__(self, port: Port) -> None:
