@@ -140,10 +140,10 @@ rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
 
 
 def until(condition, what=str):
-    """Wait for something that other processes do; a file that is not yet written counts as no."""
+    """Wait for something that other processes do; a file that is not written yet, or whose process ends, is a no."""
     deadline = time.monotonic() + PATIENCE
     while True:
-        with suppress(KeyError, IndexError, FileNotFoundError):
+        with suppress(KeyError, IndexError, FileNotFoundError, ProcessLookupError):
             if result := condition():
                 return result
         assert time.monotonic() < deadline, f"never happened: {what() if callable(what) else what}"

@@ -66,6 +66,21 @@ def test_if_all_are_taken_a_higher_one_is_used_and_the_holders_are_named(monkeyp
     assert domain.holders([first]) == ""
 
 
+def test_holders_are_named_while_other_processes_end(monkeypatch):
+    def gone(real):
+        def look(path="."):
+            if re.fullmatch(r"/proc/\d+/fd", str(path)) and str(path) != f"/proc/{os.getpid()}/fd":
+                raise ProcessLookupError
+            return real(path)
+
+        return look
+
+    for name in ("listdir", "scandir"):
+        monkeypatch.setattr(os, name, gone(getattr(os, name)))
+    with free_domain() as number:
+        assert f"1 by process {os.getpid()} (" in domain.holders([number])
+
+
 def test_a_wanted_domain_is_reserved_too():
     with free_domain() as first:
         with pytest.raises(RunError, match=f"domain {first} is in use"), free_domain(first):

@@ -102,8 +102,8 @@ def holders(domains: Iterable[int]) -> str:
         lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]
         sockets = {f"socket:[{fields[6]}]" for fields in lines if fields[-1] in names}
         counter: Counter[str] = Counter()
-        for entry in Path("/proc").glob("[0-9]*/fd/*") if sockets else ():
-            with suppress(OSError):  # another user's, or gone
+        for entry in _open_files() if sockets else ():
+            with suppress(OSError):  # closed in the meantime
                 if os.readlink(entry) in sockets:
                     process = entry.parents[1]
                     counter[f"process {process.name} ({(process / 'comm').read_text().strip()})"] += 1
@@ -112,6 +112,14 @@ def holders(domains: Iterable[int]) -> str:
         messages = [f"{count} by {owner}" for owner, count in counter.most_common(3) if count]
         return f" ({', '.join(messages)}{', ...' if len(counter) > len(messages) else ''})" if messages else ""
     return ""
+
+
+def _open_files() -> Iterator[Path]:
+    """Yield an entry of /proc for each file that the processes of this user have open."""
+    for process in Path("/proc").glob("[0-9]*"):
+        # The process may be another user's, or end while it is looked at; `glob` of Python 3.11 would end with it.
+        with suppress(OSError):
+            yield from (process / "fd").iterdir()
 
 
 def join_domain(number: int) -> int:
