@@ -32,7 +32,7 @@ class Hand(Middleware):
 
     def __init__(self, name="node", time=0):
         self.name, self.full_name, self.time = name, f"/{name}", time
-        self.said, self.heard, self.matched = {}, {}, {}  # each by topic
+        self.published, self.callbacks, self.matched = {}, {}, {}  # each by topic
         self.timers, self.posted, self.logs = [], [], []
         # the graph: publishers and subscribers by topic, types by topic, subscriptions by node
         self.writers, self.readers, self.types, self.reads = {}, {}, {}, {}
@@ -43,10 +43,10 @@ class Hand(Middleware):
 
     def publisher(self, topic, msgtype, matched):
         self.matched[topic] = matched
-        return self.said.setdefault(topic, []).append
+        return self.published.setdefault(topic, []).append
 
     def subscribe(self, topic, msgtype, reader):
-        self.heard[topic], self.matched[topic] = reader.receive, reader.matched
+        self.callbacks[topic], self.matched[topic] = reader.receive, reader.matched
 
     def be_prompt(self, place):
         self.place = place
@@ -87,10 +87,10 @@ class Kept:
     """A sink that keeps what was recorded."""
 
     def __init__(self):
-        self.said = []
+        self.published = []
 
     def add(self, topic, t, data):
-        self.said.append((topic, t, data))
+        self.published.append((topic, t, data))
 
     def note(self, t, data):
-        self.said.append(("note", t, data))
+        self.published.append(("note", t, data))

@@ -27,7 +27,7 @@ class Relay(Node):
         self.epoch = None if about["realtime"] else 0
         self.calls, self.called = 0, False
         self.outputs = [(o, self.create_publisher(message(o["type"]), o["topic"], 10)) for o in about["outputs"]]
-        self.said = [0] * len(self.outputs)
+        self.published = [0] * len(self.outputs)
         for k, port in enumerate(about["reads"]):
             receive = self.call if k == 0 else lambda data: None
             self.create_subscription(message(port["type"]), port["topic"], receive, QoSProfile(depth=10), raw=True)
@@ -50,10 +50,10 @@ class Relay(Node):
 
     def say(self, until):
         for k, (about, publisher) in enumerate(self.outputs):
-            while self.said[k] < len(about["times"]) and about["times"][self.said[k]] <= until:
-                data = bytes.fromhex(about["data"][self.said[k]])
+            while self.published[k] < len(about["times"]) and about["times"][self.published[k]] <= until:
+                data = bytes.fromhex(about["data"][self.published[k]])
                 publisher.publish(stamped(data, stamp(data) + self.epoch) if about["stamped"] else data)
-                self.said[k] += 1
+                self.published[k] += 1
 
 
 def stamp(data):

@@ -37,7 +37,7 @@ class Endpoint:
     peers: int = 0  # number of matched peers, as this end sees it
     fits: bool = True  # whether its QoS profile is compatible with the peer's
     numbered: Callable[[int], None] | None = None
-    said: int = 0  # count of messages published
+    published: int = 0  # count of messages published
     known: dict = field(default_factory=dict)  # for a publisher: from which time on each reader receives its messages
 
     @property
@@ -72,7 +72,7 @@ class World:
             readers = [(r, 0) for r in self.readers if writer.meets(r)]
         else:
             readers = writer.known.items()
-        writer.said += 1
+        writer.published += 1
         for reader, accepts in readers:
             key = (writer, reader)  # messages of one publisher keep their order
             when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
@@ -82,10 +82,10 @@ class World:
                 and self.prompt.random() < 0.5
             ):
                 self.last[key] = self.now
-                reader.node.deliver(reader, data, writer.said)
+                reader.node.deliver(reader, data, writer.published)
                 continue
             self.last[key] = when = max(when, self.last.get(key, 0))
-            self.at(when, partial(self._arrive, writer.node, reader, data, writer.said), reader.node)
+            self.at(when, partial(self._arrive, writer.node, reader, data, writer.published), reader.node)
 
     def _arrive(self, sender, reader, data, number):
         if not sender.lost:

@@ -14,7 +14,7 @@ class SimulatedOutside:
     ----------
     member : Member
         Whose place it takes.
-    said : Recording
+    recorded : Recording
         Of a run with all nodes ours: what it is to say.
     world : World
     reads : sequence of Port
@@ -27,15 +27,15 @@ class SimulatedOutside:
         Whether t = 0 is at the stamp of the first call; what it says is then stamped accordingly. It must be called.
     """
 
-    def __init__(self, rig, member, said, world, reads, pause=lambda: 0, name=None, realtime=False, bare=False):
+    def __init__(self, rig, member, recorded, world, reads, pause=lambda: 0, name=None, realtime=False, bare=False):
         self.member, self.world = member, world
         self.epoch = None if realtime else 0
         name = "_NODE_NAME_UNKNOWN_" if bare else name or f"others_{member.name}"
         self.node = SimulatedNode(world, name, {})
         self.first = {}  # first message received from each topic
-        self.said = {p.topic: said.topics[p.topic] for p in member.outputs}
-        self.next = dict.fromkeys(self.said, 0)
-        self.writers, self.needs, self.heard = {}, {}, set()
+        self.recorded = {p.topic: recorded.topics[p.topic] for p in member.outputs}
+        self.next = dict.fromkeys(self.recorded, 0)
+        self.writers, self.needs, self.received = {}, {}, set()
         links = {p.topic: member.links[p.name] for p in reads}
         calls = min(reads, key=lambda p: links[p.topic].source.schedule.every, default=None)
         steps = [partial(self._offer, p, len(rig.readers(member, p))) for p in member.outputs]
@@ -61,7 +61,7 @@ class SimulatedOutside:
         self.writers[port.topic] = self.node.publisher(port.topic, port.msgtype, matched)
 
     def _listen(self, port, calls):
-        self.heard.add(port.topic)
+        self.received.add(port.topic)
         count = iter(range(10**9))
         by_order = port.delayed or not (port.stamped or port.topic == "/clock")
 
@@ -74,11 +74,11 @@ class SimulatedOutside:
 
     def _start(self):
         if (
-            len(self.writers) == len(self.said)
+            len(self.writers) == len(self.recorded)
             and all(received >= n for n, received in self.needs.values())
-            and self.heard
+            and self.received
         ):
-            for topic, record in self.said.items():  # published again until a node answers
+            for topic, record in self.recorded.items():  # published again until a node answers
                 self.next[topic] = 1
                 self.writers[topic](bytes(record.data[0]))
 
@@ -91,7 +91,7 @@ class SimulatedOutside:
         self._say(following if self.member.is_plant else following - 1)
 
     def _say(self, until):
-        for topic, record in self.said.items():
+        for topic, record in self.recorded.items():
             while self.next[topic] < len(record.times) and record.times[self.next[topic]] <= until:
                 data = bytes(record.data[self.next[topic]])
                 self.next[topic] += 1

@@ -31,19 +31,19 @@ class Bag:
 
     def __init__(self, topics, messages):
         self.topics = [BagTopic(name, msgtype) for name, msgtype in topics]
-        self.said = [(i, t, data) for i, t, data in messages]
-        self.is_empty = not self.said
-        self.start, self.end = (self.said[0][1], self.said[-1][1]) if self.said else (0, 0)
+        self.rows = [(i, t, data) for i, t, data in messages]
+        self.is_empty = not self.rows
+        self.start, self.end = (self.rows[0][1], self.rows[-1][1]) if self.rows else (0, 0)
 
     def messages(self, names, start):
-        return (m for m in self.said if self.topics[m[0]].name in names and m[1] >= start)
+        return (m for m in self.rows if self.topics[m[0]].name in names and m[1] >= start)
 
 
 class World:
     """Node, session and clock in one: a spin takes the time that it asks for, and due events happen at their times."""
 
     def __init__(self, monkeypatch, until=1e9):
-        self.now, self.stopped, self.due, self.said, self.services = 0.0, False, [], [], {}
+        self.now, self.stopped, self.due, self.published, self.services = 0.0, False, [], [], {}
         self.subscriptions, self.peers, self.timers, self.spun = {}, {}, [], []
         self.node, self.frozen = self, 0
         self.at(until, self.stop)
@@ -73,7 +73,7 @@ class World:
 
     def create_publisher(self, kind, topic, profile):
         def publish(data):
-            self.said.append((round(self.now, 6), topic, data))
+            self.published.append((round(self.now, 6), topic, data))
             for received in self.subscriptions.get(topic, []):
                 received(data)
 
@@ -81,7 +81,7 @@ class World:
             publish=publish,
             topic_name=topic,
             get_subscription_count=lambda: len(self.subscriptions.get(topic, ())),
-            wait_for_all_acked=lambda patience: self.said.append((round(self.now, 6), topic, patience)),
+            wait_for_all_acked=lambda patience: self.published.append((round(self.now, 6), topic, patience)),
         )
 
     def create_service(self, kind, name, answer):
@@ -119,10 +119,10 @@ class World:
 
     def by_stamp(self, *names):
         """The published messages: wall-clock time in ms, name of the topic, stamp in ms."""
-        names = names or {topic for _, topic, _ in self.said}
+        names = names or {topic for _, topic, _ in self.published}
         return [
             (round(t * 1e3, 3), topic, stamp(data) // MS)
-            for t, topic, data in self.said
+            for t, topic, data in self.published
             if topic in names and isinstance(data, bytes)
         ]
 
@@ -153,7 +153,7 @@ def test_each_message_is_published_when_it_is_due_and_at_no_other_time(monkeypat
     assert max(world.spun) <= 0.025  # so a service call is never delayed by more
     assert world.frozen == 1
     # The player waits until all subscribers have the last messages.
-    assert [data for _, _, data in world.said[-2:]] == [Duration(seconds=2)] * 2
+    assert [data for _, _, data in world.published[-2:]] == [Duration(seconds=2)] * 2
 
 
 def test_the_clock_is_published_before_the_messages_of_a_time_and_every_25_ms_between(monkeypatch):
@@ -165,7 +165,7 @@ def test_the_clock_is_published_before_the_messages_of_a_time_and_every_25_ms_be
         (25, "/clock", 100), (50, "/clock", 125), (75, "/clock", 150),
         (100, "/clock", 200), (100, "/a", 200), (101, "/clock", 201), (101, "/a", 201),
     ]  # fmt: skip
-    assert "/clock" not in {topic for _, topic, data in world.said if isinstance(data, Duration)}
+    assert "/clock" not in {topic for _, topic, data in world.published if isinstance(data, Duration)}
 
 
 def test_bag_time_stops_during_a_pause_and_a_step_publishes_one_time(monkeypatch):
@@ -206,7 +206,7 @@ def test_a_step_of_a_running_player_publishes_one_more_time_and_then_pauses(monk
 def test_a_start_time_with_a_nanosecond_is_waited_for_as_any_other(monkeypatch):
     world = World(monkeypatch)
     playing(world, Bag([("/a", HEADER)], [(0, 1, Layout(HEADER).encode(1, ()))]), clock=True).run()
-    assert [topic for _, topic, data in world.said if isinstance(data, bytes)] == ["/clock", "/a"]
+    assert [topic for _, topic, data in world.published if isinstance(data, bytes)] == ["/clock", "/a"]
 
 
 def test_a_player_that_is_always_late_still_answers_requests(monkeypatch):
@@ -275,7 +275,7 @@ def test_played_topics_are_renamed_and_have_types_that_are_installed(monkeypatch
     publishers = Publishers(world, bag, [bag.topics[0], bag.topics[2]], {"/b": "/c"})
     assert (publishers.names, sorted(publishers.publish)) == ({"/a": "/a", "/b": "/c"}, [0, 2])
     publishers.publish[2](b"it")
-    assert world.said[-1][1:] == ("/c", b"it")
+    assert world.published[-1][1:] == ("/c", b"it")
     world.subscriptions["/c"] = [None]
     assert publishers.unheard(["/c", "/a"]) == ["/a"]
     odd = Bag([("/odd", "odd_msgs/msg/Odd")], [])
@@ -299,7 +299,7 @@ def test_one_of_two_types_on_a_topic_is_played_and_bytes_that_ros_rejects_are_co
     publishers.publish[0] = refuse
     replay = Player(world, bag, publishers, span(bag, 0.0, None), rate=1.0, loop=False, clock=False, paused=False)
     replay.run(False)
-    assert [data for _, _, data in world.said if isinstance(data, bytes)] == [b"it", b"end"]
+    assert [data for _, _, data in world.published if isinstance(data, bytes)] == [b"it", b"end"]
     assert (replay.sent, publishers.refused) == (2, {"/a": 1})
 
 
@@ -322,7 +322,7 @@ class Law:
 
     @staticmethod
     def say(world, topic, data):
-        world.said.append((round(world.now, 6), topic, data))
+        world.published.append((round(world.now, 6), topic, data))
         for received in world.subscriptions[topic]:
             received(data)
 
@@ -358,7 +358,7 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
     assert [stamp(d) for d in result.topics["out"].data] == result.topics["out"].times
     assert (played.sent, world.stopped) == (40, True)
     # The player waits until all subscribers have the last messages.
-    assert world.said[-1][1:] == ("/in", Duration(seconds=2))
+    assert world.published[-1][1:] == ("/in", Duration(seconds=2))
     order = [(k, topic == "/in") for _, topic, k in world.by_stamp()]
     assert [k for k, asks in order if asks] == ticks
     for tick in answered:  # all messages of a tick are published before any of a later one

@@ -413,11 +413,13 @@ def listener(rig, monkeypatch):
     context = rclpy.Context()
     context.init(domain_id=rig.domain)
     node = Node("listener", context=context)
-    node.heard = []
+    node.received = []
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     for name, msgtype in (("/clock", CLOCK), ("/state", STATE)):
-        node.create_subscription(message_class(msgtype), name, lambda m, name=name: node.heard.append((name, m)), 1000)
+        node.create_subscription(
+            message_class(msgtype), name, lambda m, name=name: node.received.append((name, m)), 1000
+        )
 
     def turn():  # one turn handles all messages that have arrived before `until` is checked again
         executor.spin_once(timeout_sec=0.05)
@@ -490,10 +492,10 @@ def test_pause_step_resume_span_remap_and_clock(rig, listener, tmp_path):
                         "--topics", "/plant/state", "--remap", "/plant/state:=/state")  # fmt: skip
 
     def states():
-        return [m.header.stamp.nanosec // 1_000_000 for name, m in listener.heard if name == "/state"]
+        return [m.header.stamp.nanosec // 1_000_000 for name, m in listener.received if name == "/state"]
 
     def clock():
-        return [m.clock.nanosec for name, m in listener.heard if name == "/clock"]
+        return [m.clock.nanosec for name, m in listener.received if name == "/clock"]
 
     call(listener, "/player/step")
     call(listener, "/player/step")
@@ -508,7 +510,7 @@ def test_pause_step_resume_span_remap_and_clock(rig, listener, tmp_path):
     assert clock() == sorted(clock())
     assert {k * 1_000_000 for k in range(50, 150)} <= set(clock())
 
-    listener.heard.clear()
+    listener.received.clear()
     player = rig.player("bag", "--loop", "--wait", "--rate", "2", "--duration", "0.004", "--regex", "plant",
                         "--remap", "/plant/state:=/state")  # fmt: skip
     until(lambda: listener.turn() or len(states()) >= 17, "three loops and more")

@@ -385,7 +385,7 @@ def test_latched_publishers_become_one_with_the_sum_of_their_depths(publishers, 
 # sessions --------------------------------------------------------------------------------------------------------
 
 
-class Given:
+class NodeWithOptions:
     """A node with parameters from ROS arguments."""
 
     def __init__(self, name, enable_rosout, automatically_declare_parameters_from_overrides):
@@ -422,13 +422,13 @@ def session(monkeypatch):
     executor = SimpleNamespace(add_node=lambda node: None, spin_until_future_complete=spin)
     monkeypatch.setattr(ros.signal, "signal", signals.__setitem__)
     monkeypatch.setattr(ros.uses, "executor", lambda: executor)
-    monkeypatch.setattr(ros, "ServingNode", Given)
+    monkeypatch.setattr(ros, "ServingNode", NodeWithOptions)
     monkeypatch.setattr(ros, "watch_ports", after.append)
     monkeypatch.setattr(ros.rclpy, "init", lambda **_: None)
     monkeypatch.setattr(ros.Session, "opened", None)
 
     def make(overrides=(), stop=0):
-        Given.overrides, stop_at[0] = dict(overrides), stop
+        NodeWithOptions.overrides, stop_at[0] = dict(overrides), stop
         options = [
             (Declaration("rate", 2.5, float, "how fast", "", 0.0, 9.0), 2.5),
             (Declaration("wait", True, bool, "it", "", None, None), True),

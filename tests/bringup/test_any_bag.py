@@ -146,14 +146,14 @@ class Player:
 
     def __init__(self, *_):
         self.node = self
-        self.said = []
+        self.published = []
 
     def create_service(self, *_):
         pass
 
     def create_publisher(self, kind, topic, profile):
         return SimpleNamespace(
-            publish=self.said.append,
+            publish=self.published.append,
             topic_name=topic,
             get_subscription_count=lambda: 1,
             wait_for_all_acked=lambda patience: True,

@@ -355,7 +355,9 @@ def test_actions_on_a_page_become_requests_to_the_nodes_and_lines_as_expected(mo
         asked.clear()
         new, lines = control.lines - lines, control.lines
         messages.extend(
-            f"  {s.t:g} s, {s.who}: {s.text}{' (wrong)' if s.wrong else ''}" for s in [*control.entries][-new:] if new
+            f"  {s.t:g} s, {s.author}: {s.text}{' (wrong)' if s.wrong else ''}"
+            for s in [*control.entries][-new:]
+            if new
         )
         named(document, "echo").text = named(document, "beat").text
         page.update()

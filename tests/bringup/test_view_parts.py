@@ -718,7 +718,7 @@ def test_a_page_beside_a_run_follows_the_files_of_the_nodes_until_it_ends(
             seen.append(state())
             style()
             seen.append(page.control.entries[-1][1:])
-            seen.append([s.text for s in page.control.entries if s.who == "dc_motor_smc"])
+            seen.append([s.text for s in page.control.entries if s.author == "dc_motor_smc"])
 
     made, styles, listeners, lines = [], [], [], queue.Queue()
     monkeypatch.setattr(serve, "Pages", lambda *words: made.append(Beside(*words)) or made[-1])

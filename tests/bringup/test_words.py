@@ -40,8 +40,6 @@ ALLOWED = {
     "of": "definition",
     # Exempt: placeholders in generated code.
     "found": "cdr",
-    # the publisher of a link and the author of a line, beside `name` of the same row
-    "who": "sender control",
 }
 # Parts of names of functions, classes and fields; `tell` is the optimisers' standard name beside `ask`.
 DEFINED = re.compile(

@@ -68,12 +68,12 @@ def attack(seed: int, directory: Path) -> None:
     words = " ".join(s.name for s in signals)
     (directory / "case").write_text(f"{words} in {phase}: {' '.join(command)}\n")
     before = segments()
-    (heard, marks), (go_read, go) = os.pipe(), os.pipe()
+    (marked_end, marks), (go_read, go) = os.pipe(), os.pipe()
     runner = fork(command, text, lambda: marked(phase, duration, marks, go_read, go))
     for end in (marks, go_read):
         os.close(end)
     try:
-        strike(chance, runner, phase, signals, heard)
+        strike(chance, runner, phase, signals, marked_end)
         os.close(go)
         status = ended(runner)
         domain = next((int(v["ROS_DOMAIN_ID"]) for _, v in of_run(directory) if "ROS_DOMAIN_ID" in v), None)
@@ -85,7 +85,7 @@ def attack(seed: int, directory: Path) -> None:
         judge_record(scenario, seed, out, directory)
         assert (files := left_in_memory(before, domain)) == [], f"left in shared memory: {files[:3]}"
     finally:
-        os.close(heard)
+        os.close(marked_end)
         with suppress(ProcessLookupError, ChildProcessError):
             os.kill(runner, signal.SIGKILL)
             os.waitpid(runner, 0)
@@ -149,9 +149,11 @@ def marked(phase: str, duration: float, marks: int, go_read: int, go: int) -> No
         before(PHASES[phase][0])
 
 
-def strike(chance: random.Random, runner: int, phase: str, signals: tuple[signal.Signals, ...], heard: int) -> None:
+def strike(
+    chance: random.Random, runner: int, phase: str, signals: tuple[signal.Signals, ...], marked_end: int
+) -> None:
     """Send the signals when the run has reported its phase."""
-    assert os.read(heard, 1), "the run ended before that phase"
+    assert os.read(marked_end, 1), "the run ended before that phase"
     if phase == "any":
         time.sleep(chance.uniform(0.0, LATEST))
     for number in signals:

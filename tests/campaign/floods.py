@@ -159,7 +159,7 @@ def attack(seed: int, directory: Path) -> None:
         with (directory / "case").open("a") as case:
             rates = f"{before:.0f} before, {during:.0f} during, {after:.0f} after"
             left = f"{len(clients)} clients left; the longest stand {watch.longest:.1f} s"
-            case.write(f"ticks a second: {rates}; {left}; said {sorted(watch.said)}\n")
+            case.write(f"ticks a second: {rates}; {left}; said {sorted(watch.reported)}\n")
         assert process.poll() is None, text.read_text()[-2000:]
         assert after > 0.2 * before, f"{before:.0f} ticks a second before, {after:.0f} after"
         if what not in STOP or what == "steps":
@@ -190,7 +190,7 @@ class Watch:
 
     def __init__(self, call: Client, clock: str) -> None:
         self._clock = clock
-        self.ticks, self.longest, self.unexplained, self.said = 0, 0.0, 0.0, set[str]()
+        self.ticks, self.longest, self.unexplained, self.reported = 0, 0.0, 0.0, set[str]()
         self._call, self._moved, self._reasons = call, time.monotonic(), {}
         call.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
 
@@ -199,7 +199,7 @@ class Watch:
             values = {v.key: v.value for v in status.values}
             reasons = [f"{k}: {re.sub('[0-9.]+', 'N', v)}" for k, v in values.items() if k in REASONS]
             self._reasons[status.name] = reasons
-            self.said.update(reasons)
+            self.reported.update(reasons)
             if status.name == self._clock:
                 ticks = int(values["ticks"])
                 if ticks != self.ticks:

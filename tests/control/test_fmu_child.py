@@ -150,7 +150,7 @@ class Pipe:
         self.closed = True
 
 
-class Given:
+class Planned:
     def __init__(self, plan):
         if plan == "bad":
             raise ValueError("no plan")
@@ -165,7 +165,7 @@ class Given:
 
 @pytest.mark.parametrize(("end", "folder"), [(EOFError(), ""), (OSError(), "/cache/fmu/0a")])
 def test_calls_are_answered_until_the_other_end_is_closed(monkeypatch, end, folder):
-    monkeypatch.setattr(child, "Instance", Given)
+    monkeypatch.setattr(child, "Instance", Planned)
     monkeypatch.setattr(child, "os", SimpleNamespace(_exit=System().ended))
     monkeypatch.setattr(child, "sys", SimpleNamespace(path=["old"]))
     asked = [("__init__", ("bad",)), ("__init__", ("p",)), ("add", (5, 3)), ("refuse", ()), ("nothing", ())]
@@ -181,7 +181,7 @@ def test_calls_are_answered_until_the_other_end_is_closed(monkeypatch, end, fold
         (True, None),
         (True, "p 2"),
         (False, "too hard"),
-        (False, "AttributeError: 'Given' object has no attribute 'nothing'"),
+        (False, "AttributeError: 'Planned' object has no attribute 'nothing'"),
     ]
     with pytest.raises(Exit):
         child._answer(Pipe(([], ""), ("__init__", ("p",)), full=True))

@@ -113,7 +113,7 @@ def start(kind, seed, outside=(), stalls=0, bare=False):
         f"{s.member.name} has not heard the first of {topic}"
         for s in strangers
         if any(p.topic in awaited for p in s.member.outputs)
-        for topic in s.heard
+        for topic in s.received
         if s.first.get(topic) != next(iter(expected.topics[topic].data), None)
     ]
     wrong += [

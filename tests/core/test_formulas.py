@@ -102,7 +102,7 @@ class Loops:
     def at(self, tree, k, arrived, lost):
         key = id(tree), k, arrived, lost
         if key not in self.known:
-            self.known[key] = self.found(tree, k, arrived, lost)
+            self.known[key] = self.measured(tree, k, arrived, lost)
         return self.known[key]
 
     def atom(self, text, k, lost):
@@ -117,7 +117,7 @@ class Loops:
             value = defined(ATOMS[text])(now)
         return value if not math.isnan(value) else math.inf if lost else -math.inf
 
-    def found(self, tree, k, arrived, lost):
+    def measured(self, tree, k, arrived, lost):
         kind, *parts = tree
         unknown = math.inf if arrived else -math.inf
         n = len(self.samples)

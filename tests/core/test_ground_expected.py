@@ -86,26 +86,26 @@ def test_declarations_are_as_expected():
 # nodes that must agree ----------------------------------------------------------------------------------------------
 
 
-class Said(BlockParams):
+class Agreement(BlockParams):
     mass: float = param(1.0, "a mass")
     row: tuple[float, ...] = param((1.0, 2.0), "a row")
     word: str = param("a", "a word")
 
 
-class Speaks(Block[Said]):
+class Speaks(Block[Agreement]):
     @classmethod
     def agreed(cls, params):
         return {"mass": params.mass, "row": params.row, "word": params.word}
 
 
-class Assumes(Block[Said]):
+class Assumes(Block[Agreement]):
     @classmethod
     def assumed(cls, params):
         return {"mass": params.mass, "other": 1.0}
 
 
 def member(name, kind=Speaks, **values):
-    return SimpleNamespace(name=name, block_class=kind, params=Said(**values))
+    return SimpleNamespace(name=name, block_class=kind, params=Agreement(**values))
 
 
 def test_nodes_agree_within_the_last_digits():

@@ -188,12 +188,12 @@ class Counted:
     """A generator that counts how often a row is drawn."""
 
     def __init__(self):
-        self.own, self.rows = np.random.default_rng(5), 0
-        self.bit_generator = self.own.bit_generator
+        self.generator, self.rows = np.random.default_rng(5), 0
+        self.bit_generator = self.generator.bit_generator
 
     def random(self, count):
         self.rows += 1
-        return self.own.random(count)
+        return self.generator.random(count)
 
 
 def test_random_draws_are_the_stream_and_the_newest_rows_are_cached(monkeypatch):
@@ -262,7 +262,7 @@ class Inner(NamedTuple):
 
 
 class Aside(NamedTuple):
-    told: float = 1.0
+    shown: float = 1.0
     aside = True
 
 

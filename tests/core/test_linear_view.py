@@ -407,7 +407,7 @@ class Slow(Block):
         return x, {"w": (t / 1e9,)}
 
 
-class Heard(Gain):
+class Listening(Gain):
     INPUTS = (*Gain.INPUTS, number("w", "slow/w", "1", held=True))
 
     def update(self, x, t, v, w):
@@ -420,7 +420,7 @@ def test_the_period_of_the_whole_system_is_the_common_one(inputs, periods):
     blocks = {
         "plant": Unstable(period=0.01),
         "shift": Shift(period=0.02),
-        "law": Heard(period=0.02),
+        "law": Listening(period=0.02),
         "slow": Slow(period=0.03),
     }
     view = linear_view(Rig.from_blocks(blocks, duration=1.0), "", at=0.5, inputs=inputs)

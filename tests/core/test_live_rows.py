@@ -54,8 +54,8 @@ class Node:
         self.hand.time = self.hand.time if at is None else at
         row.receive(row.port.layout().encode(stamp, values) if data is None else data)
 
-    def said(self, topic):
-        return self.hand.said[topic]
+    def published(self, topic):
+        return self.hand.published[topic]
 
     def reports(self):
         return {key: f"{level.name} {text} ({n})" for key, (level, text, n) in self.adapter.step.reports.items()}
@@ -221,7 +221,7 @@ def test_a_controller_answers_a_tick_when_all_due_inputs_have_arrived_or_its_tim
     assert node.drive.missed == sum(missed for *_, missed in wanted)
     assert node.adapter.ticks == len(wanted) > 10
     stamps = [START + t for _, t, *_ in result]
-    assert list(node.said("u")) == [
+    assert list(node.published("u")) == [
         node.adapter.outgoing.outputs[0].layout.encode(s, (a,)) for s, (_, _, a, *_) in zip(stamps, result, strict=True)
     ]
 
@@ -343,7 +343,7 @@ def test_a_controller_started_alone_begins_with_the_first_message_and_learns_the
         ("b", "sensor_msgs/msg/JointState"),
         ("c", "sensor_msgs/msg/JointState"),
     ]
-    kept = [(number, (t - START) // MS) for number, t, _ in node.kept.said]
+    kept = [(number, (t - START) // MS) for number, t, _ in node.kept.published]
     inputs = [k for k in kept if k[0]]
     assert inputs == [(1, 0), (2, 0), (1, 10), (2, 20), (1, 20), (2, 20), (3, 30), (1, 30), (2, 30), (1, 40), (2, 40)]
     assert [k for k in kept if not k[0]] == [(0, 10 * k) for k in range(5)]
@@ -421,7 +421,7 @@ def test_timer_ticks_follow_the_grid_and_missed_ones_are_counted_and_skipped_aft
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     assert timer.asked == [(MS, 0), None, (MS, 0)]
-    states = lambda: len(node.said("lag/state"))  # noqa: E731
+    states = lambda: len(node.published("lag/state"))  # noqa: E731
     timer_at(node, timer, 0, 3 * MS)
     assert (timer.now, states(), node.adapter.ticks) == ((7 * MS, 10 * MS), 1, 1)
     timer_at(node, timer, 0, 4 * MS)  # a second call at the same tick
@@ -514,7 +514,7 @@ def test_a_source_publishes_its_ticks_from_the_next_point_of_the_grid_on():
     timer.call()
     assert (node.adapter.epoch, node.adapter.ticks) == (START + 10 * MS, 0)
     timer_at(node, timer, 1)
-    assert (node.adapter.ticks, len(node.said("lag/reference"))) == (1, 1)
+    assert (node.adapter.ticks, len(node.published("lag/reference"))) == (1, 1)
     timer_at(node, timer, 4)
     assert (node.adapter.block.unanswered, node.drive.missed) == (2, 2)
 
@@ -544,7 +544,7 @@ def test_a_controller_that_overflows_publishes_the_last_value_and_an_error_in_it
     assert node.adapter.state == ("failed" if ends else "running")
     port = node.adapter.outgoing.outputs[0].layout
     zero = [] if ends else [port.encode(START + k * 10 * MS, (0.0,)) for k in (1, 2)]
-    assert node.said("u") == [port.encode(START, (3.0,)), *zero]
+    assert node.published("u") == [port.encode(START, (3.0,)), *zero]
     if not ends:
         assert node.reports()["failed"].startswith("ERROR failed at t = 0.02 s: ")
         assert node.reports()["failed"].endswith("; safe output (2)")
@@ -680,7 +680,7 @@ def test_neither_of_two_controllers_is_accepted_until_one_has_been_silent_for_a_
 def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     links = {"base": "0.01", "inputs": {"a": linked(), "b": linked(sporadic=True, reports_silence=True)}}
     node = Node(Law(), links, epoch=START).join()
-    row, tick = node.rows["b"], node.hand.heard["/other/tick"]
+    row, tick = node.rows["b"], node.hand.callbacks["/other/tick"]
     assert type(row).__name__ == "Sporadic"
     write = TickWriter()
 
@@ -737,7 +737,7 @@ def test_a_message_of_a_sporadic_sender_is_valid_before_its_tick_is_acknowledged
     for k in range(3):
         node.hear("a", START + k * 10 * MS, 1.0)
     assert [(t // MS, b) for t, _, b, *_ in SEEN] == [(0, 7.0), (10, 7.0)]
-    node.hand.heard["/other/tick"](TickWriter()(START + 20 * MS, []))
+    node.hand.callbacks["/other/tick"](TickWriter()(START + 20 * MS, []))
     assert SEEN[-1] == (20 * MS, 1.0, 7.0, None, 0)
 
 
@@ -854,12 +854,12 @@ def test_nodes_of_one_process_with_external_subscribers_receive_each_others_mess
         (received,) = hand.posted
         hand.posted.clear()
         assert law.ticks == k
-        other.heard["lag/state"](STATE.layout().encode(hand.time, (1.0, 0.0)))
+        other.callbacks["lag/state"](STATE.layout().encode(hand.time, (1.0, 0.0)))
         assert law.ticks == k
         received()
         assert law.ticks == k + 1
-    assert other.said["lag/command"][1] == COMMAND.layout().encode(START + 10 * MS, (2.0 * (0.01 - 1.0),))
-    assert len(hand.said["lag/reference"]) == 2  # also published to other nodes
+    assert other.published["lag/command"][1] == COMMAND.layout().encode(START + 10 * MS, (2.0 * (0.01 - 1.0),))
+    assert len(hand.published["lag/reference"]) == 2  # also published to other nodes
 
 
 # ---- a rig whose clock a user holds ----
@@ -974,18 +974,18 @@ class Beats:
     """Nodes whose ticks are triggered together; the first one has the time."""
 
     def __init__(self, periods, clock="0.01"):
-        self.hand, self.said = Hand(time=START), []
+        self.hand, self.calls = Hand(time=START), []
         self.nodes = []
         for k, period in enumerate(periods):
             node = SimpleNamespace(
                 schedule=Schedule(period, clock), middleware=self.hand, epoch=START, state="starting"
             )
-            tick = lambda number, t, now, k=k: self.said.append((k, number, t // MS, (now - START) // MS))  # noqa: E731
+            tick = lambda number, t, now, k=k: self.calls.append((k, number, t // MS, (now - START) // MS))  # noqa: E731
             drive = SimpleNamespace(node=node, clock=self.hand.now, tick=tick, follow=self.follows)
-            drive.commanded = lambda stamp, now, k=k: self.said.append(("commanded", (stamp - START) // MS))
+            drive.commanded = lambda stamp, now, k=k: self.calls.append(("commanded", (stamp - START) // MS))
             self.nodes.append(drive)
         self.begins = []
-        self.law, self.row = SimpleNamespace(t=0), SimpleNamespace(fed=lambda now: self.said.append("fed"))
+        self.law, self.row = SimpleNamespace(t=0), SimpleNamespace(fed=lambda now: self.calls.append("fed"))
         Beat(self.nodes, [(self.law, self.row, self.nodes[0])])
         (self.timer,) = self.hand.timers
 
@@ -1000,9 +1000,9 @@ class Beats:
     def at(self, ms):
         """The messages published when the timer fires at a time."""
         self.hand.time = START + round(ms * MS)
-        self.said.clear()
+        self.calls.clear()
         self.timer.call()
-        return [*self.said]
+        return [*self.calls]
 
 
 def test_nodes_of_one_process_answer_in_order_by_one_timer_and_late_ones_first():

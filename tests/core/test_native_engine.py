@@ -376,9 +376,9 @@ class Whole:
     def __init__(self, a: float) -> None:
         self.a = a
 
-    def native(self) -> Taken:
+    def native(self) -> Kept:
         """Return the native form."""
-        return Taken(self.a)
+        return Kept(self.a)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Whole) and other.a == self.a
@@ -386,7 +386,7 @@ class Whole:
     __hash__ = None  # type: ignore[assignment]
 
 
-class Taken(NamedTuple):
+class Kept(NamedTuple):
     a: float
 
     def python(self) -> Whole:

@@ -30,7 +30,7 @@ RigVectorEnv = pytest.importorskip("softrig_core.analysis.environments").RigVect
 SIGNAL = scalars("signal", "signal", {"x": "m", "y": ""})
 PUSH = command("push", "push", ("u",), "N")
 LATE = replace(SIGNAL, name="late", topic="late", delayed=True)
-SPOKEN = replace(PUSH, sporadic=True)
+SPORADIC = replace(PUSH, sporadic=True)
 WIDE = scalars("wide", "wide", dict.fromkeys("abc", ""))
 
 
@@ -115,7 +115,7 @@ class Talker(Block[Params]):
     """Publishes now and then."""
 
     INPUTS = (LATE,)
-    OUTPUTS = (SPOKEN,)
+    OUTPUTS = (SPORADIC,)
 
     def update(self, x: tuple[()], t: int, *, late: Sample) -> tuple[tuple[()], Mapping[str, Any]]:
         """Answer at some ticks."""
@@ -147,7 +147,7 @@ class Saying(Block[Params]):
     """Publishes a message at some ticks, and its state at others."""
 
     INPUTS = (SIGNAL,)
-    OUTPUTS = (SPOKEN.renamed("said"), replace(WIDE, name="often", topic="often"))
+    OUTPUTS = (SPORADIC.renamed("said"), replace(WIDE, name="often", topic="often"))
 
     def first(self) -> int:
         """Counts."""
@@ -187,7 +187,7 @@ class Hearing(Block[Params]):
 class Asking(Body):
     """Asks for the age of its input."""
 
-    INPUTS = (SPOKEN,)
+    INPUTS = (SPORADIC,)
 
     def advance(self, x: State, t: int, *, push: tuple[float, ...]) -> State:
         """Move once a message has arrived."""
@@ -393,9 +393,9 @@ def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
         def first(self) -> tuple[tuple[int, int, float], ...]:
             return ((0, 0, 0.0),) * len(text)
 
-        def update(self, x: Any, t: int, **heard: Any) -> Any:
+        def update(self, x: Any, t: int, **inputs: Any) -> Any:
             ages = [self.age(port.name) for port in text]
-            new = [(age == 0, heard[port.name], port.delayed) for age, port in zip(ages, text, strict=True)]
+            new = [(age == 0, inputs[port.name], port.delayed) for age, port in zip(ages, text, strict=True)]
             return tuple(taken(old, t, *one) for old, one in zip(x, new, strict=True)), {}
 
         def status(self, x: Any) -> Any:

@@ -113,41 +113,45 @@ class Sender:
         self.port = array(name, name, {"q": 1}, "m") if self.counted else state(name)
         self.schedule = Schedule(self.period, "0.01", 0.2, self.at_end)
         self.ticks = [self.schedule.time(k) for k in range(self.schedule.count())]
-        self.spoken = [t for t in self.ticks if not self.silent or draw.random() < 0.5]
-        self.bad = {t for t in self.spoken if draw.random() < bad}
-        self.told = self.came = 0  # counts of acknowledgements and of messages
+        self.stamps_sent = [t for t in self.ticks if not self.silent or draw.random() < 0.5]
+        self.bad = {t for t in self.stamps_sent if draw.random() < bad}
+        self.acknowledged_ticks = self.received = 0  # counts of acknowledgements and of messages
 
     def message(self, k):
-        t = self.spoken[k]
+        t = self.stamps_sent[k]
         value = math.nan if t in self.bad else t / 1e9 + 1.0
         return message_of(self.port, k if self.counted else t, value)
 
     def left(self):
-        return ["message"] * (self.came < len(self.spoken)) + ["tick"] * (self.silent and self.told < len(self.ticks))
+        return ["message"] * (self.received < len(self.stamps_sent)) + ["tick"] * (
+            self.silent and self.acknowledged_ticks < len(self.ticks)
+        )
 
     def deliver(self, row, what):
         if what == "message":
-            self.came += 1
-            row.receive(self.message(self.came - 1))
+            self.received += 1
+            row.receive(self.message(self.received - 1))
         else:
-            t = self.ticks[self.told]
-            self.told += 1
-            row.acknowledge(t, t in self.spoken)
+            t = self.ticks[self.acknowledged_ticks]
+            self.acknowledged_ticks += 1
+            row.acknowledge(t, t in self.stamps_sent)
 
-    def there(self, t):
+    def is_complete(self, t):
         """Return whether everything that a tick needs has arrived."""
         want = self.schedule.awaited(t)
         known = [s for s in self.ticks if s <= want]
-        messages, arrived = set(self.ticks[: self.told]), set(self.spoken[: self.came])
+        messages, arrived = set(self.ticks[: self.acknowledged_ticks]), set(self.stamps_sent[: self.received])
         if not self.silent:
             return want in arrived
         both = self.counted
-        return all((s in arrived and (s in messages or not both)) if s in self.spoken else s in messages for s in known)
+        return all(
+            (s in arrived and (s in messages or not both)) if s in self.stamps_sent else s in messages for s in known
+        )
 
     def used(self, t):
         """The stamp of the message that a tick uses, and whether it is bad; None before the first."""
         want = self.schedule.awaited(t)
-        return max((s for s in self.spoken if s <= want), default=None)
+        return max((s for s in self.stamps_sent if s <= want), default=None)
 
 
 @pytest.mark.parametrize("bad", [0.0, 0.2], ids=["", "some refused"])
@@ -165,17 +169,20 @@ def test_a_tick_uses_the_newest_message_up_to_it_and_waits_for_it(seed, period, 
         reader.ticks = k
         t, turns = reader.t, reader.turns
         reader.table.await_tick(t)
-        assert reader.table.missing == sum(not s.there(t) for s in senders)
+        assert reader.table.missing == sum(not s.is_complete(t) for s in senders)
         waited = reader.table.missing > 0
         while reader.table.missing or draw.random() < 0.4:
             open_ones = [
-                (s, what) for s in senders for what in s.left() if s.came < 3 + s.schedule.tick(t) + 2 or what == "tick"
+                (s, what)
+                for s in senders
+                for what in s.left()
+                if s.received < 3 + s.schedule.tick(t) + 2 or what == "tick"
             ]
             if not open_ones:
                 break
             sender, what = draw.choice(open_ones)
             sender.deliver(rows[sender.name], what)
-            assert reader.table.missing == sum(not s.there(t) for s in senders)
+            assert reader.table.missing == sum(not s.is_complete(t) for s in senders)
         assert reader.table.missing == 0
         assert reader.turns - turns == waited
         spoilt = False
@@ -192,7 +199,7 @@ def test_a_tick_uses_the_newest_message_up_to_it_and_waits_for_it(seed, period, 
         assert reader.step.bad == spoilt
         reader.step.bad = False
     assert len(reader.refusals) == sum(
-        min(s.came, len(s.spoken)) > j for s in senders for j, b in enumerate(s.spoken) if b in s.bad
+        min(s.received, len(s.stamps_sent)) > j for s in senders for j, b in enumerate(s.stamps_sent) if b in s.bad
     )
     assert not reader.failures
 
@@ -315,7 +322,7 @@ def test_a_restarted_node_ignores_messages_that_it_has_missed():
     row.receive(message_of(row.port, 3, 1.0))
     assert (row.received, reader.failures, reader.table.missing) == (0, [], 1)
     plain = reader.row(state("y"))  # a node started by hand accepts any publisher
-    assert plain.who == "another node"
+    assert plain.publisher == "another node"
 
 
 def test_an_input_without_a_known_sender_uses_the_newest():
@@ -334,7 +341,7 @@ def test_an_input_without_a_known_sender_uses_the_newest():
     newest = dict.fromkeys(("held", "sporadic", "free"), "Newest")
     assert kinds == newest | dict.fromkeys(("needed", "linked", "wanted"), "Paired")
     assert [row.name for row in reader.table.rows] == ["needed", "linked", "wanted"]
-    assert {row.name: row.who for row in reader.table.rows} == {
+    assert {row.name: row.publisher for row in reader.table.rows} == {
         "needed": "another node",
         "linked": "sender",
         "wanted": "another node",
@@ -416,8 +423,8 @@ def test_a_node_that_follows_the_clock_waits_for_each_of_its_ticks_once():
     reader = Reader()
     reader.table.follow_clock(link())
     (row,) = reader.table.rows
-    assert (row.port, row.who, reader.paces) == (CLOCK, "sender", [row])
-    hear = reader.middleware.heard["/clock"]
+    assert (row.port, row.publisher, reader.paces) == (CLOCK, "sender", [row])
+    hear = reader.middleware.callbacks["/clock"]
     clock = Layout("rosgraph_msgs/msg/Clock").encode
     for k in range(4):
         reader.table.await_tick(k * 10 * MS)
@@ -441,7 +448,7 @@ def test_a_node_that_follows_the_clock_waits_for_each_of_its_ticks_once():
 
 
 def acknowledged(reader, name):
-    return lambda t, sent=(): reader.middleware.heard[f"/{name}/tick"](TickWriter()(t, sent))
+    return lambda t, sent=(): reader.middleware.callbacks[f"/{name}/tick"](TickWriter()(t, sent))
 
 
 def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
@@ -452,12 +459,12 @@ def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
     row = reader.row(state())
     reader.table.follow_ticks({"here"}, lambda: then.append(1))
     table = reader.table
-    assert [r.who for r in table.rows] == ["sender", "second", "follower"]
-    assert [r.who for r in table.unpaced] == ["sender"]
+    assert [r.publisher for r in table.rows] == ["sender", "second", "follower"]
+    assert [r.publisher for r in table.unpaced] == ["sender"]
     assert [type(p).__name__ for p in reader.paces] == ["Ticks", "Behind", "Ticks"]
     second, follower, sender = (acknowledged(reader, node_name) for node_name in ("second", "follower", "sender"))
     table.await_tick(0)
-    assert [r.who for r in table.rows if not r.have] == ["sender", "second"]
+    assert [r.publisher for r in table.rows if not r.have] == ["sender", "second"]
     sender(0)
     assert (row.have, table.missing, len(then)) == (True, 1, 1)
     second(0)
@@ -470,18 +477,18 @@ def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
     for k in range(2, 9):
         second(k * 10 * MS)
     table.await_tick(20 * MS)
-    assert [r.who for r in table.rows if not r.have] == ["sender"]
+    assert [r.publisher for r in table.rows if not r.have] == ["sender"]
     row.receive(message_of(row.port, 20 * MS, 4.0))
     assert reader.values["x"] == (4.0,)
     for k in range(3, 9):
         sender(k * 10 * MS)
     table.await_tick(80 * MS)  # the follower must have acknowledged all ticks up to 30 ms
-    assert [r.who for r in table.rows if not r.have] == ["follower"]
+    assert [r.publisher for r in table.rows if not r.have] == ["follower"]
     follower(20 * MS)
     assert table.missing == 1
     follower(30 * MS)
     assert table.missing == 0
-    reader.middleware.heard["/second/tick"](b"")
+    reader.middleware.callbacks["/second/tick"](b"")
     assert "second" not in [name for name, _ in reader.refusals]
     assert len(reader.refusals) == 1
 
@@ -492,7 +499,7 @@ def test_the_owner_of_the_clock_waits_for_the_messages_of_the_previous_tick():
     reader.table.follow_ticks(set(), lambda: None)
     law, slow = (acknowledged(reader, name) for name in ("law", "slow"))
     reader.table.await_tick(0)
-    wants = {row.who: row.want for row in reader.table.rows}
+    wants = {row.publisher: row.want for row in reader.table.rows}
     assert wants == {"law": 0, "slow": 0}
     assert [row.earlier for row in reader.table.rows] == [False, False]
     law(0)
@@ -500,7 +507,7 @@ def test_the_owner_of_the_clock_waits_for_the_messages_of_the_previous_tick():
     assert reader.table.missing == 0
     reader.table.await_tick(10 * MS)
     # The last message of the slow publisher is held.
-    assert [row.who for row in reader.table.rows if not row.have] == ["law"]
+    assert [row.publisher for row in reader.table.rows if not row.have] == ["law"]
     other = Reader(acks={"law": "0.01"})
     other.table.follow_ticks(set(), lambda: None)
     (row,) = other.table.rows
@@ -584,10 +591,10 @@ def test_the_first_message_is_repeated_for_late_subscribers_while_the_node_is_at
 
 class Shake:
     def __init__(self, *absent):
-        self.gone, self.missing = list(absent), ["late"]
+        self.absent_nodes, self.missing = list(absent), ["late"]
 
     def absent(self):
-        return self.gone
+        return self.absent_nodes
 
 
 def stands(rig=None, **options):
@@ -868,7 +875,7 @@ def test_a_restarted_node_answers_the_ticks_with_complete_inputs_and_waits_for_t
         "s": (50 * MS, 50 * MS),
         "c": (50 * MS, 50 * MS),
     }
-    assert [row.who for row in reader.table.rows if not row.have] == ["sender"]
+    assert [row.publisher for row in reader.table.rows if not row.have] == ["sender"]
     assert rows["c"].received == 6
     assert rows["x"].want == 50 * MS
     rows["x"].receive(message_of(rows["x"].port, 50 * MS, 9.5))

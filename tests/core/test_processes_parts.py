@@ -394,7 +394,7 @@ class Watched:
     """A run of three nodes as its supervisor sees it; at each check a tenth of a second has passed."""
 
     def __init__(self, monkeypatch, realtime=False, most=0):
-        self.now, self.realtime, self.told, self.script = 100.0, realtime, [], {}
+        self.now, self.realtime, self.progress, self.script = 100.0, realtime, [], {}
         self.children = [Child(name, pid) for pid, name in enumerate(("plant", "law", "source"), 1)]
         self.states = {c.member.name: {"t": 0, "state": "running"} for c in self.children}
         self.restarts = SimpleNamespace(
@@ -443,7 +443,7 @@ class Watched:
     def run(self):
         """The result, and after how many seconds."""
         text = supervision.supervise(
-            self.rig, self.children, self.told.append, SimpleNamespace(check=self.looks.append), self.realtime,
+            self.rig, self.children, self.progress.append, SimpleNamespace(check=self.looks.append), self.realtime,
             self.stopping, self.restarts, SimpleNamespace(update=lambda: None), 7, self.announced.append)  # fmt: skip
         assert set(self.domains) == {7}
         return text, round(self.now - 100.0, 1)
@@ -481,7 +481,7 @@ def test_a_run_that_ends_in_order_reports_the_progress_of_its_plant(watched):
         run.at(at, run.says("plant", t=t))
     run.at(0.3, run.says("law", t=100))
     assert all_end(run, 50.0).run() == ("", 50.0)  # while all nodes run, none of them is late
-    assert run.told == [0, 5, 9]
+    assert run.progress == [0, 5, 9]
     assert run.looks[0] == {name: {"t": 0, "state": "running"} for name in ("plant", "law", "source")}
 
 

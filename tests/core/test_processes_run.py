@@ -22,7 +22,7 @@ class Stage:
     """A run through processes whose parts record their calls."""
 
     def __init__(self, monkeypatch, folder, nodes=BASIC, error="", failing=None, late=(), **keys):
-        self.asked, self.said, self.error, self.failing, self.late = [], [], error, failing, [*late]
+        self.asked, self.announced, self.error, self.failing, self.late = [], [], error, failing, [*late]
         self.rig = rig_of(make_scenario(nodes, 0.5, timeout=7.0, start_timeout=31.0, **keys))
         self.folder, self.children = folder, []
         stand_ins = {"need_ros": lambda: None, "require_loopback": lambda: self.asked.append("loopback"),
@@ -73,7 +73,7 @@ class Stage:
             3,
             self.folder,
             Placement(**placement),
-            Listener(announce=self.said.append, opened=self.asked.append),
+            Listener(announce=self.announced.append, opened=self.asked.append),
         )
 
 
@@ -106,7 +106,7 @@ def test_a_run_goes_through_its_stages_in_order(stage, tmp_path):
         "run.pace": 2.0,
     }
     assert (outcome.domain, outcome.epoch, outcome.error, outcome.stopped) == (17, 9, "", 0)
-    assert one.said == []
+    assert one.announced == []
     assert set(outcome.status) == set(BASIC)
 
 
@@ -127,7 +127,7 @@ def test_a_run_in_a_chosen_domain_leaves_the_ports_of_others_alone(stage, tmp_pa
     guest.run()
     assert guest.started.options["run.start_timeout"] == 0.0  # no limit, since the other part may start later
     assert ("leftovers", None) in guest.asked
-    assert guest.said[0].startswith("waiting for gain")
+    assert guest.announced[0].startswith("waiting for gain")
     together = stage()
     together.run(mode="container")
     assert [a for a in together.asked if isinstance(a, tuple) and a[0] == "start"] == [("start", [*BASIC], False)]
@@ -137,7 +137,7 @@ def test_facts_that_a_user_should_know_of_a_run_are_logged(stage):
     one = stage()
     one.domain, one.short = 120, "/dev/shm has 1 MB left"
     one.run()
-    assert one.said == [
+    assert one.announced == [
         "domain 120: 1 to 100 are taken (by x)",
         "/dev/shm has 1 MB left: messages use UDP, which is slower",
     ]
@@ -145,7 +145,7 @@ def test_facts_that_a_user_should_know_of_a_run_are_logged(stage):
     assert one.started.variables == {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     started = stage()
     started.run(domain=120)
-    assert (started.said, started.started.variables) == ([], {})
+    assert (started.announced, started.started.variables) == ([], {})
 
 
 def test_the_end_of_a_run_is_reported_once_and_a_refused_parameter_is_an_error_of_the_scenario(stage, monkeypatch):

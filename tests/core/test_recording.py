@@ -33,24 +33,24 @@ class Plain:
     """The content of a recording, as lists: (time, bytes) by topic, changes of parameters by time and content."""
 
     def __init__(self):
-        self.said = {topic: [] for topic in PORTS}
+        self.added = {topic: [] for topic in PORTS}
         self.notes = []
 
     def row(self, t, values):
         first = 0
         for (k, layout), topic in zip(ROW.items(), PORTS, strict=False):
-            mark = len(self.said[topic]) if layout.numbered else t
-            self.said[topic].append((t, LAYOUTS[k].encode(mark, values[first : first + layout.size])))
+            mark = len(self.added[topic]) if layout.numbered else t
+            self.added[topic].append((t, LAYOUTS[k].encode(mark, values[first : first + layout.size])))
             first += layout.size
 
     def add(self, k, t, data):
-        self.said[list(PORTS)[k]].append((t, data))
+        self.added[list(PORTS)[k]].append((t, data))
 
     def note(self, t, data):
         self.notes = sorted([*self.notes, (t, data)])
 
     def all(self):
-        return self.said | ({EVENTS: self.notes} if self.notes else {})
+        return self.added | ({EVENTS: self.notes} if self.notes else {})
 
     def now(self):
         return {name: list(topic) for name, topic in self.all().items()}
@@ -114,7 +114,7 @@ def test_a_recording_contains_messages_in_order_of_arrival_however_they_were_add
         holds(before, {name: each for name, each in earlier.items() if each or name != EVENTS})
         before.add(3, t, b"new")
         before.note(t, b"new")
-        assert recording.topics["/clock"].data == [data for _, data in plain.said["/clock"]]
+        assert recording.topics["/clock"].data == [data for _, data in plain.added["/clock"]]
     for name, topic in recording.topics.items():
         for n in (0, 1, 6, 10**6):
             remaining = topic.since(n)

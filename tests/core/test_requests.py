@@ -31,13 +31,13 @@ class World:
     """A node whose services have queues; a request has an arrival, a client and a content."""
 
     def __init__(self, monkeypatch, cost=0):
-        self.clock, self.queues, self.there, self.log = Clock(), {}, {b"a"}, []
+        self.clock, self.queues, self.clients, self.log = Clock(), {}, {b"a"}, []
         self.paused, self.dropped, self.cost, self.look_cost = False, 0, cost, 0
         monkeypatch.setattr(requests, "time", self.clock)
         monkeypatch.setattr(requests, "leave_requests_to_us", lambda node, service: None)
         monkeypatch.setattr(requests, "next_request", self.take)
         monkeypatch.setattr(requests, "client_of", lambda header: header.client)
-        monkeypatch.setattr(requests, "answer_readers", lambda node, service: self.there)
+        monkeypatch.setattr(requests, "answer_readers", lambda node, service: self.clients)
         self.requests = Requests(None, Credit(), lambda: self.paused, self.drop)
 
     def drop(self):
@@ -169,7 +169,7 @@ def test_an_answer_waits_for_its_client_and_is_dropped_if_it_has_left(monkeypatc
     world.ask("list", client=b"gone")
     world.requests.serve()
     assert (world.log, world.dropped) == ([], 0)
-    world.there = {b"a", b"new"}
+    world.clients = {b"a", b"new"}
     world.clock.ns += 60 * MS
     world.requests.serve()
     assert (world.log, world.dropped) == ([("list", b"new")], 0)

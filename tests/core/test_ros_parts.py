@@ -343,20 +343,20 @@ class Serving(ServingNode):
         self._parameters["empty"] = Parameter("empty", Parameter.Type.NOT_SET)
         self._descriptors = {n: SimpleNamespace(floating_point_range=[], type=0) for n in self._parameters}
         self._descriptors["empty"].floating_point_range = [1]
-        self.taken, self.refuses = [], ()
+        self.reserved, self.refuses = [], ()
 
     def get_name(self):
         return "law"
 
     def set_parameters_atomically(self, new):
-        self.taken.append({p.name: p.value for p in new})
+        self.reserved.append({p.name: p.value for p in new})
         good = not any(p.name in self.refuses for p in new)
         return SimpleNamespace(successful=good, reason="" if good else "refused")
 
     def ask(self, **values):
-        self.taken.clear()
+        self.reserved.clear()
         results = self._set([Parameter(n, value=v).to_parameter_msg() for n, v in values.items()])
-        return [r.successful for r in results], [r.reason for r in results], [*self.taken]
+        return [r.successful for r in results], [r.reason for r in results], [*self.reserved]
 
 
 def test_parameters_set_together_are_applied_together_or_one_by_one():
@@ -505,9 +505,9 @@ class Rcl:
         return topic if topic.startswith("/") else f"/rig/{topic}"
 
     def create_publisher(self, kind, topic, profile, **options):
-        self.said = []
+        self.published = []
         made = SimpleNamespace(
-            handle=SimpleNamespace(publish_raw=self.said.append), topic_name=topic, profile=profile, **options
+            handle=SimpleNamespace(publish_raw=self.published.append), topic_name=topic, profile=profile, **options
         )
         self.made.append(made)
         return made
@@ -558,11 +558,11 @@ def test_bytes_are_sent_only_while_there_is_a_subscriber_except_to_latched_topic
         assert (made.qos_overriding_options is not None) is always
         assert made.profile.depth == 10
         send(0, (1.5,))
-        assert node.said == ([port.layout().encode(0, (1.5,))] if always else [])
-        node.said.clear()
+        assert node.published == ([port.layout().encode(0, (1.5,))] if always else [])
+        node.published.clear()
         made.event_callbacks.matched(SimpleNamespace(current_count=2))
         send(0, (2.5,))
-        assert node.said == [port.layout().encode(0, (2.5,))]
+        assert node.published == [port.layout().encode(0, (2.5,))]
         made.event_callbacks.matched(SimpleNamespace(current_count=0))
         assert seen == [2, 0]
     (line,) = reported({"qos_overrides./rig/t.publisher.depth": 5, "qos_overrides./rig/u.publisher.depth": 5}, port)
@@ -587,7 +587,7 @@ def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after
 
     class Arrives:
         def __init__(self, rcl, subscription, receive, matched, arrive):
-            self.subscription, self.given, self.log = subscription, (rcl, receive, matched, arrive), []
+            self.subscription, self.arguments, self.log = subscription, (rcl, receive, matched, arrive), []
             arrivals.append(self)
 
         def begin(self):
@@ -625,7 +625,7 @@ def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after
     middleware.be_prompt("beside")
     (one,) = arrivals
     assert one.subscription is first
-    assert one.given == ("rcl", received.append, received.append, node.monitor.arrive)
+    assert one.arguments == ("rcl", received.append, received.append, node.monitor.arrive)
     assert (node._subscriptions, node.waitables) == ([own], own.event_handlers)
     assert (middleware.prompt, middleware.processor, processors[0][:2]) == (True, 3, (6, True))
     node.monitor.done = 7
@@ -731,7 +731,7 @@ def test_in_a_container_messages_pass_through_its_queue_and_are_sent_only_to_ext
     node.made[0].event_callbacks.matched(SimpleNamespace(current_count=1))
     publish(b"b")
     exchange.flush()
-    assert (node.said, log) == ([b"b"], [1])
+    assert (node.published, log) == ([b"b"], [1])
     middleware.subscribe("u", "std_msgs/msg/Float64", Listening(log.append, log.append))
     (subscription,) = node._subscriptions
     subscription.event_callbacks.matched(SimpleNamespace(current_count=2))
@@ -764,7 +764,7 @@ def test_in_a_container_in_real_time_a_native_thread_publishes_and_is_waited_for
     node.made[0].event_callbacks.matched(SimpleNamespace(current_count=1))
     publish(b"a")
     assert set_from_outside == [(node.made[0].topic_name, b"a")]
-    assert node.said == []
+    assert node.published == []
     node.publishers = []
     middleware.drain()
     assert drained == [1]
@@ -911,12 +911,12 @@ class Asked:
     """The node of a user; the test decides when its clients answer."""
 
     def __init__(self, monkeypatch, patience=4.0):
-        self.now, self.said, self.timers, self.calls, self.ready, self.future = 50.0, [], [], [], False, None
+        self.now, self.results, self.timers, self.calls, self.ready, self.future = 50.0, [], [], [], False, None
         monkeypatch.setattr(remote, "time", SimpleNamespace(monotonic=lambda: self.now))
         monkeypatch.setattr(remote, "AsyncParameterClient", lambda node, name: self._client(name))
         node = SimpleNamespace(create_client=lambda kind, name: self._client(name), create_timer=self._timer)
         node.destroy_timer = lambda timer: self.timers.remove(timer)
-        self.remote = remote.Remote(node, lambda *message: self.said.append(message), patience)
+        self.remote = remote.Remote(node, lambda *message: self.results.append(message), patience)
 
     def _timer(self, seconds, style):
         assert seconds == 0.01
@@ -943,7 +943,7 @@ class Asked:
         self.now += seconds
         for timer in [*self.timers]:
             timer.look()
-        return self.said.pop() if self.said else None
+        return self.results.pop() if self.results else None
 
 
 def test_a_set_or_a_press_is_answered_after_the_node_and_a_silent_node_is_named(monkeypatch):
@@ -985,7 +985,7 @@ def test_a_set_or_a_press_is_answered_after_the_node_and_a_silent_node_is_named(
         ),
     ):
         asked.remote.ask(request)
-        assert asked.said.pop() == (request["id"], False, message)
+        assert asked.results.pop() == (request["id"], False, message)
     asked.remote.ask({"id": 6, "node": "law", "set": {"k": 2**63 - 1, "n": [-(2**63)]}})
     assert len(asked.timers) == 1
 
@@ -997,7 +997,7 @@ class FakeRcl:
     """The functions of rcl that are called by themselves, over a queue of messages."""
 
     def __init__(self):
-        self.queue, self.code, self.told, self.resets, self.writers, self.kept = [], 0, [], 0, 0, []
+        self.queue, self.code, self.counts_reported, self.resets, self.writers, self.kept = [], 0, [], 0, 0, []
 
     def rcutils_get_default_allocator(self):
         return arrival._Allocator()

@@ -356,10 +356,10 @@ def test_requesting_recorders_are_awaited_except_on_topics_that_they_leave_out()
     assert awaited.of("/a") == ["bag"]
     hand.writers[RECORDER] = ["one", "two"]
     assert awaited.of("/a") == ["bag", "one", "two"]
-    hand.heard[RECORDER](left_out("/one", ["/a", "/b"]))
-    hand.heard[RECORDER](left_out("/two", ["/b"]))
+    hand.callbacks[RECORDER](left_out("/one", ["/a", "/b"]))
+    hand.callbacks[RECORDER](left_out("/two", ["/b"]))
     assert [awaited.of(topic) for topic in ("/a", "/b", "/c")] == [["bag", "two"], ["bag"], ["bag", "one", "two"]]
-    hand.heard[RECORDER](b"\0\1\0\0")
+    hand.callbacks[RECORDER](b"\0\1\0\0")
     assert hand.logs == [
         "ERROR refused on /_softrig/recorder: std_msgs/msg/Header: 4 bytes end inside a field at byte 4"
     ]
@@ -418,14 +418,14 @@ def test_a_solver_informs_its_peers_every_half_second_that_it_works(monkeypatch)
     times = []
     for _ in range(900):
         hand.time += 2 * MS
-        before = len(hand.said[BUSY])
+        before = len(hand.published[BUSY])
         hand.timers[0].call()
-        times += [hand.time - 10**9] * (len(hand.said[BUSY]) - before)
+        times += [hand.time - 10**9] * (len(hand.published[BUSY]) - before)
     assert times == [502 * MS, 1004 * MS, 1506 * MS]
-    assert TickReader()(hand.said[BUSY][0]) == (0, frozenset(["/node"]))
+    assert TickReader()(hand.published[BUSY][0]) == (0, frozenset(["/node"]))
     received = []
     item = Busy(hand, 2, lambda: received.append(1))
-    hand.heard[BUSY](hand.said[BUSY][0])
+    hand.callbacks[BUSY](hand.published[BUSY][0])
     assert received == [1]
     for count, publishers in ((0, 0), (1, 0), (2, 1), (3, 1), (4, 2)):
         hand.matched[BUSY](count)
@@ -441,7 +441,7 @@ def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     (tells,) = hand.timers
     assert tells.asked == [(500 * MS, 0)]
     tells.call()
-    assert [TickReader()(data) for data in hand.said[BUSY]] == [(0, frozenset(["/node"]))]
+    assert [TickReader()(data) for data in hand.published[BUSY]] == [(0, frozenset(["/node"]))]
     assert [hold.holds(0) for _ in range(3)] == [True] * 3
     assert hold.ask("step", 2) == (True, "one step")
     assert [hold.holds(0) for _ in range(4)] == [False, False, True, True]
@@ -451,7 +451,7 @@ def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     assert hold.ask("step") == (False, "it runs: pause it first")
     assert not hold.holds(0)
     tells.call()
-    assert len(hand.said[BUSY]) == 1
+    assert len(hand.published[BUSY]) == 1
     assert len(hand.posted) == 3
     hand.posted[-1]()
     assert turned == [1]
@@ -473,7 +473,7 @@ def test_a_pace_is_checked_a_hundred_times_a_second_until_there_is_none():
     assert hold.holds(0)
     assert hold.waits
     tells.call()
-    assert len(hand.said[BUSY]) == 1
+    assert len(hand.published[BUSY]) == 1
     hand.time += 20 * MS  # 20 ms of wall time are 10 ms of the run
     styles.call()
     assert (turned, hold.waits) == ([1], False)

@@ -20,7 +20,7 @@ from softrig_nodes.rehearsal import rehearse
 class Memory(NamedTuple):
     """The state of the solver of the test."""
 
-    told: int = 0
+    requests: int = 0
     jobs: Jobs = Jobs()
 
 
@@ -33,7 +33,7 @@ class Asking(Solver[SolverParams]):
         return Memory()
 
     def request(self, x, t, *, ask):
-        return x._replace(told=x.told + 1), ask
+        return x._replace(requests=x.requests + 1), ask
 
     @staticmethod
     def solve(request, work):
@@ -115,7 +115,7 @@ def test_a_solver_ticks_as_its_independent_description_says(latency, cancels, mo
             if active and t >= effect and not new:
                 result, active, new = (active[0], f"answer to {active[1]}", True), None, True
         assert held.update(t, ask=ask) == (result, new)
-        assert held.x.told == k + 1
+        assert held.x.requests == k + 1
         assert held.block.working(held.x) == bool(active or waiting)
     log = held.block.worker.log
     assert [entry for entry in log if isinstance(entry, str)] == worked

@@ -210,8 +210,8 @@ class Leaves:
             fail=self.failures.append,
             account=SimpleNamespace(refuse=lambda item, text: self.failures.append(text)),
         )
-        self.shake = SimpleNamespace(absent=lambda: [*self.gone], gone=[])
-        self.gone = self.shake.gone
+        self.shake = SimpleNamespace(absent=lambda: [*self.absent_nodes], absent_nodes=[])
+        self.absent_nodes = self.shake.absent_nodes
         self.departure = Departure(
             self.node,
             self.shake,
@@ -230,12 +230,12 @@ class Leaves:
 
 def test_the_starter_waits_until_all_are_ready_and_matched_and_announces_the_time():
     one = Leaves()
-    ready, text = one.hand.heard[READY], one.hand.said[START]
+    ready, text = one.hand.callbacks[READY], one.hand.published[START]
     assert one.timer.asked == [(20 * MS, 0)]
     one.hand.readers[f"/{START}"] = {"law": TICK}
-    one.gone.append("nobody on x")
+    one.absent_nodes.append("nobody on x")
     assert one.look() == ["nobody on x", "law is not ready", "source is not ready", f"source does not hear {START} yet"]
-    one.gone.clear()
+    one.absent_nodes.clear()
     ready(TickWriter()(0, ["law"]))
     one.hand.matched[START](1)
     assert one.look() == ["source is not ready", f"source does not hear {START} yet"]
@@ -265,7 +265,7 @@ def test_neighbours_in_its_process_are_informed_in_memory():
     one, two = Leaves(local=["law"]), Leaves("other")
     one.departure.neighbours = two.departure.neighbours = [one.departure, two.departure]
     for name in ("law", "source"):
-        one.hand.heard[READY](TickWriter()(0, [name]))
+        one.hand.callbacks[READY](TickWriter()(0, [name]))
     assert one.look() == [f"law, source does not hear {START} yet"]
     one.hand.matched[START](1)  # counts nodes of other processes only
     one.look()
@@ -277,11 +277,11 @@ def test_neighbours_in_its_process_are_informed_in_memory():
 @pytest.mark.parametrize(("off", "ahead"), [(0, 0), (SECOND // 2, 0), (SECOND // 2 + 1, 1), (-SECOND, 1)])
 def test_the_others_report_that_they_are_ready_and_follow_a_clock_that_is_half_a_second_off(off, ahead):
     one = Leaves("law")
-    hear, text = one.hand.heard[START], one.hand.said[READY]
-    one.gone.append("nobody on x")
+    hear, text = one.hand.callbacks[START], one.hand.published[READY]
+    one.absent_nodes.append("nobody on x")
     one.look(10)
     assert not text
-    one.gone.clear()
+    one.absent_nodes.clear()
     one.look(13)
     # The request is repeated at each fifth check: 15 and 20.
     assert [TickReader()(data) for data in text] == [(0, frozenset(["node"]))] * 2
@@ -296,7 +296,7 @@ def test_the_others_report_that_they_are_ready_and_follow_a_clock_that_is_half_a
     hear(TickWriter()(epoch, ["until=5"]))
     assert (len(one.begun), one.words[1]) == (1, frozenset(["until=5"]))
     other = Leaves("law")
-    other.hand.heard[START](TickWriter()(epoch, ["x"]))  # this start message has no clock time
+    other.hand.callbacks[START](TickWriter()(epoch, ["x"]))  # this start message has no clock time
     assert other.begun == [(epoch, 0)]
 
 
@@ -309,7 +309,7 @@ def test_a_start_that_does_not_arrive_ends_the_run_with_a_reason():
         assert one.failures == (["not all peers after 30 s: law has not published the start time"] if limit else [])
     one.failures.clear()
     one = Leaves(limit=30.0)
-    one.gone.append("nobody on x")
+    one.absent_nodes.append("nobody on x")
     one.look(1, 31 * SECOND)
     assert one.failures[0].startswith("not all peers after 30 s: nobody on x; law is not ready; source is not ready; ")
     assert one.timer.now is None
@@ -358,11 +358,11 @@ def test_a_lockstep_controller_answers_each_tick_when_its_inputs_are_there_and_l
     x, r = (STATE.layout(), REFERENCE.layout())
     for k in range(3):
         assert (adapter.ticks, adapter.t) == (k, 10 * k * MS)
-        hand.heard["lag/state"](x.encode(10 * k * MS, (1.0, 0.0)))
-        hand.heard["lag/reference"](r.encode(10 * k * MS, (4.0 + k,)))
+        hand.callbacks["lag/state"](x.encode(10 * k * MS, (1.0, 0.0)))
+        hand.callbacks["lag/reference"](r.encode(10 * k * MS, (4.0 + k,)))
     u = COMMAND.layout()
-    assert hand.said["lag/command"] == [u.encode(10 * k * MS, (6.0 + 2 * k,)) for k in range(3)]
-    assert kept.said == [(0, 10 * k * MS, u.encode(10 * k * MS, (6.0 + 2 * k,))) for k in range(3)]
+    assert hand.published["lag/command"] == [u.encode(10 * k * MS, (6.0 + 2 * k,)) for k in range(3)]
+    assert kept.published == [(0, 10 * k * MS, u.encode(10 * k * MS, (6.0 + 2 * k,))) for k in range(3)]
     assert (adapter.state, left) == ("done", [30 * MS])
     assert "tick_p50_ms" not in adapter.drive.statistics()  # only a plant has this statistic
 
@@ -392,16 +392,20 @@ def test_a_plant_publishes_its_ticks_on_the_clock_and_knows_its_followers():
     }
     hand, kept, adapter = node(Lag(), links, duration=0.02)
     begun(adapter, hand, {"lag/state": ["law"], "/clock": ["source"]})
-    command = hand.heard["lag/command"]
+    command = hand.callbacks["lag/command"]
     for k in range(2):
         assert adapter.ticks == k
         command(COMMAND.layout().encode(10 * k * MS, (1.0,)))
         assert adapter.ticks == k
-        hand.heard["/watcher/tick"](TickWriter()(10 * k * MS, []))
-    hand.heard["/watcher/tick"](TickWriter()(20 * MS, []))
-    assert [parse("rosgraph_msgs/msg/Clock", data).stamp for data in hand.said["/clock"]] == [0, 10 * MS, 20 * MS]
-    assert [parse(JOINT, data).fields["position"] for data in hand.said["lag/state"]] == [(0.0,), (0.01,), (0.0199,)]
-    assert [number for number, _, _ in kept.said] == [0, 1, 4] * 3
+        hand.callbacks["/watcher/tick"](TickWriter()(10 * k * MS, []))
+    hand.callbacks["/watcher/tick"](TickWriter()(20 * MS, []))
+    assert [parse("rosgraph_msgs/msg/Clock", data).stamp for data in hand.published["/clock"]] == [0, 10 * MS, 20 * MS]
+    assert [parse(JOINT, data).fields["position"] for data in hand.published["lag/state"]] == [
+        (0.0,),
+        (0.01,),
+        (0.0199,),
+    ]
+    assert [number for number, _, _ in kept.published] == [0, 1, 4] * 3
     assert adapter.record.topics == [
         ("lag/state", JOINT),
         ("lag/applied", JOINT),
@@ -442,12 +446,12 @@ def test_a_sporadic_node_announces_its_messages_with_its_acknowledgement():
     }
     hand, kept, adapter = node(Burst(at=(0.01,)), links, duration=0.03)
     begun(adapter, hand, {"lag/burst": ["law"], "~/tick": ["law"]})
-    clock = hand.heard["/clock"]
+    clock = hand.callbacks["/clock"]
     for k in range(3):
         clock(CLOCK_LAYOUT.encode(10 * k * MS, ()))
-    messages = [TickReader()(data) for data in hand.said["~/tick"]]
+    messages = [TickReader()(data) for data in hand.published["~/tick"]]
     assert messages == [(0, frozenset()), (10 * MS, frozenset(["burst"])), (20 * MS, frozenset())]
-    assert [t for _, t, _ in kept.said] == [10 * MS]
+    assert [t for _, t, _ in kept.published] == [10 * MS]
 
 
 def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
@@ -458,8 +462,8 @@ def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
     (output,) = adapter.outgoing.outputs
     begun(adapter, hand, {})
     for k in range(3):
-        hand.heard["lag/state"](STATE.layout().encode(10 * k * MS, (1.0, 2.0)))
-    numbers = [parse(output.port.msgtype, data).number for data in hand.said[output.port.topic]]
+        hand.callbacks["lag/state"](STATE.layout().encode(10 * k * MS, (1.0, 2.0)))
+    numbers = [parse(output.port.msgtype, data).number for data in hand.published[output.port.topic]]
     assert (numbers, adapter.step.counts[output.name]) == ([0, 1, 2], 3)
     assert conclude(adapter, stopped=False) == 0
     assert json.loads((tmp_path / "a.status").read_text())["state"] == "done"
@@ -719,13 +723,13 @@ def test_an_error_of_a_node_in_a_container_ends_the_run_in_its_name(capsys):
     assert (other.state, str(other.error), other.waits_for) == ("failed", "stopped: node has failed", ["node"])
 
 
-class Left(Exception):
+class Ended(Exception):
     """A process has ended with this status."""
 
 
 def test_a_container_starts_the_nodes_of_its_command_line_and_reports_errors_in_it(monkeypatch, capsys):
     def leave(nodes, status):
-        raise Left(status)
+        raise Ended(status)
 
     added, broken = [], []
 
@@ -753,7 +757,7 @@ def test_a_container_starts_the_nodes_of_its_command_line_and_reports_errors_in_
 
     def status(*arguments):
         added.clear()
-        with pytest.raises(Left) as left:
+        with pytest.raises(Ended) as left:
             containers.main(arguments)
         return left.value.args[0], capsys.readouterr()
 

@@ -140,17 +140,17 @@ class Wanders:
     little = np.array([0.0, 1e-8])
 
     def __init__(self, rig, at, seed, received, inputs, periods):
-        self.rig, self.heard, self.periods = rig, received, periods
+        self.rig, self.signals, self.periods = rig, received, periods
         self.start, self.sizes, self.moved = np.array([2.0, 8.0]), np.array([1.0, 4.0]), np.ones(2, bool)
         self.resting = np.zeros(2, bool)
 
     def __call__(self, x, added, fixed=None):
-        return 0.5 * x + [0.5, 4.0], dict.fromkeys(self.heard, x.sum())
+        return 0.5 * x + [0.5, 4.0], dict.fromkeys(self.signals, x.sum())
 
     def go_on(self, x, periods):
         assert periods == self.periods == 200
         for k in range(periods):
-            yield x + (k + 1) * self.little, dict.fromkeys(self.heard, x.sum() + k)
+            yield x + (k + 1) * self.little, dict.fromkeys(self.signals, x.sum() + k)
 
     def others(self):
         return []

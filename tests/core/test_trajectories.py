@@ -202,10 +202,10 @@ class Handle:
     """The handle that rclpy passes to code that follows a goal."""
 
     def __init__(self, request, number):
-        self.request, self.goal_id, self.told, self.state = request, number, [], "executing"
+        self.request, self.goal_id, self.feedback, self.state = request, number, [], "executing"
 
     def publish_feedback(self, message):
-        self.told.append(message)
+        self.feedback.append(message)
 
     def __getattr__(self, name):
         if name not in ("succeed", "abort", "canceled"):
@@ -299,7 +299,7 @@ def test_a_goal_is_followed_reported_and_reached(monkeypatch):
     rig.until(90 * MS)
     assert flight.code == (0, "succeed")
     assert rig.reference() == (0.001, 0.002, 0.003, *[0.0] * 6)
-    reported = flight.handle.told[0]
+    reported = flight.handle.feedback[0]
     assert reported.joint_names == [*JOINTS]
     assert [len(reported.actual.positions), len(reported.actual.velocities), len(reported.actual.accelerations)] == [
         3,
@@ -415,7 +415,7 @@ def test_in_a_container_the_joints_are_those_of_the_neighbour_node(monkeypatch):
     rig.following._check()
     rig.until(0)
     assert within.code == (0, "succeed")
-    assert len(within.handle.told[0].actual.velocities) == 3
+    assert len(within.handle.feedback[0].actual.velocities) == 3
     beyond = rig.send(goal(trajectory(point(MS, (2, 2, 2)), point(SECOND, (1, 1, 1))), path=[bound("joint2", 0.5)]))
     rig.until(rig.adapter.step.t + 5 * MS)  # in process, several ticks run before the next check
     rig.following._check()

@@ -1,9 +1,9 @@
 """How strong are the tests? Random mutants, each against the daily tests that execute its line.
 
-First the tests given (files or folders; all of them is an hour) are run once and told line by line which of them runs
-what: `--lines FILE` keeps that, or reads it when FILE is there. Then mutants are drawn among the lines that were run,
-the kind first, and each is run against its tests, the quickest first, until one fails. All this happens in a worktree
-of HEAD, or of the commit that FILE is of, at low priority. What survives is equivalent, which a person says, or a hole.
+First the tests given (files or folders; all take an hour) run once, traced line by line to see which test runs which
+line: `--lines FILE` keeps the result, or reads FILE if it exists. Then mutants are drawn among the executed lines,
+and each runs against its tests, the quickest first, until one fails. All this happens at low priority in a worktree of
+HEAD, or of the commit of FILE. A mutant that survives is equivalent, as a person decides, or shows a hole in the tests.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
         tally[outcome] += 1
         print(f"{sum(tally.values())}: {outcome} {place}:{mutant.start[0]} {mutant.kind}", file=sys.stderr, flush=True)
         if outcome != "killed":
-            print(f"{outcome}: {place}:{mutant.start[0]} {mutant.told(source)} ({text})", flush=True)
+            print(f"{outcome}: {place}:{mutant.start[0]} {mutant.description(source)} ({text})", flush=True)
     total = tally["killed"] + tally["survived"]
     print(
         f"{total} mutants, seed {options.seed}: {tally['killed']} killed, {tally['survived']} survived "

@@ -32,7 +32,7 @@ class Mutant:
         changed = lines[first - 1][:a] + self.text.encode() + lines[last - 1][b:]
         return b"".join([*lines[: first - 1], changed, *lines[last:]]).decode()
 
-    def told(self, source: str) -> str:
+    def description(self, source: str) -> str:
         """Return a line that describes the change."""
         lines = source.encode().splitlines(keepends=True)
         (first, a), (last, b) = self.start, self.end

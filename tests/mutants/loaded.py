@@ -191,7 +191,7 @@ def pytest_runtestloop(session):
         if tally.total() >= int(asked["COUNT"] or 80):
             break
         source = (ROOT / place).read_text()
-        text = f"{place}:{mutant.start[0]}:{mutant.start[1]} {mutant.told(source)}"
+        text = f"{place}:{mutant.start[0]}:{mutant.start[1]} {mutant.description(source)}"
         if text in done:
             continue
         meeting = {t for line in mutant.runs for t in of_line[place].get(line, ()) if t in items and sound.get(t, True)}

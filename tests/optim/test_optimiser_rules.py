@@ -68,7 +68,7 @@ class Account:
     def __init__(self, make, rng, falls, *, hold, window, settle, threshold, rescan, floor, autostart, slew):
         self.make, self.rng, self.falls, self.hold, self.n, self.settle = make, rng, falls, hold, window, settle
         self.threshold, self.rescan, self.floor, self.slew = threshold, rescan, floor, slew
-        self.restarts, self.down, self.said, self.failures, self.command = -1, (False,) * 3, set(), 0, None
+        self.restarts, self.down, self.reported, self.failures, self.command = -1, (False,) * 3, set(), 0, None
         self.since_arrival = []
         self.begin(0)
         self.command = self.target
@@ -139,7 +139,7 @@ class Account:
                 self.begin(k)
             self.note()
         if not math.isfinite(value):
-            self.said.add("objective")
+            self.reported.add("objective")
             self.forget(k)
         else:
             self.since_arrival.append(value)
@@ -185,14 +185,14 @@ class Account:
                 self.search.watch(sample)
             return
         if nothing and self.no_signal(self.mean()):
-            self.gone(k)
+            self.loses_signal(k)
             return
         self.dark = None
         self.search.tell(self.mean(), sample)
         if not self.search.done:
             self.target, self.arrived = self.search.ask(), None
         elif self.no_signal(self.search.expected):
-            self.said.add("no signal")
+            self.reported.add("no signal")
             self.begin(k)
         elif self.curve is not None and self.threshold > 0.0:
             self.looking = k
@@ -200,11 +200,11 @@ class Account:
             self.keep(k)
         self.note()
 
-    def gone(self, k):
+    def loses_signal(self, k):
         self.forget(k)
         self.dark = k if self.dark is None else self.dark
         if k - self.dark >= self.hold:
-            self.said.add("no signal")
+            self.reported.add("no signal")
             self.waits, self.target, self.arrived = True, self.low(), None
 
     def keep(self, k):
@@ -234,14 +234,14 @@ class Account:
         self.broken, self.failures = True, self.failures + 1
         if self.failures > 3:
             return False
-        self.said.add("changed" if changed else "more")
+        self.reported.add("changed" if changed else "more")
         self.begin(k, k if changed else self.look)
         self.note()
         return True
 
     def withdraw(self):
         if self.search.bound is not None:
-            self.said.add("proof")
+            self.reported.add("proof")
         self.proven = False
         self.note()
 
@@ -271,7 +271,7 @@ class Account:
     def calls(self, k, mean, held):
         """Return whether the held value requires a new search now."""
         if self.no_signal(mean):
-            self.said.add("no signal")
+            self.reported.add("no signal")
             self.lost = True
             return False
         if self.lost:
@@ -372,7 +372,7 @@ def test_each_tick_is_answered_as_the_page_says(kind, seed):
         assert (answer["command"], answer["state"]) == tuple(pytest.approx(w, rel=1e-12) for w in wanted), (
             f"at tick {k}"
         )
-    assert set(block.reports) == account.said
+    assert set(block.reports) == account.reported
 
 
 def built(**changes):

@@ -282,11 +282,11 @@ class Collector:
     """Stands in for `gc`: reports what the test sets."""
 
     def __init__(self):
-        self.found, self.searches, self.frozen = 0, 0, 0
+        self.garbage_found, self.searches, self.frozen = 0, 0, 0
 
     def collect(self, generation=2):
         self.searches += generation == 0
-        return self.found
+        return self.garbage_found
 
     def freeze(self):
         self.frozen += 1
@@ -305,7 +305,7 @@ def test_the_garbage_collector_runs_rarely_while_it_finds_nothing_and_as_usual_o
     for _ in range(CLEAN):
         garbage.step()
     assert (collector.searches, collector.frozen) == (1, 1 + CLEAN)
-    collector.found = 1
+    collector.garbage_found = 1
     garbage.step()
     assert (collector.searches, collector.frozen) == (2, 1 + CLEAN)
     for _ in range(3 * UNCLEAN):

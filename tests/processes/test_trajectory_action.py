@@ -24,7 +24,7 @@ class Client:
         from rclpy.action import ActionClient
         from rclpy.executors import SingleThreadedExecutor
 
-        self.kind, self.joints, self.heard = FollowJointTrajectory, joints, []
+        self.kind, self.joints, self.received = FollowJointTrajectory, joints, []
         self.context = rclpy.Context()
         self.context.init(domain_id=domain)
         self.node = rclpy.create_node("caller", context=self.context)
@@ -46,7 +46,7 @@ class Client:
         at = [(Duration(sec=int(t), nanosec=round(t % 1 * 1e9)), [q] * n) for t, q in points]
         rows = [JointTrajectoryPoint(time_from_start=t, positions=q, velocities=[0.0] * n) for t, q in at]
         goal = self.kind.Goal(trajectory=JointTrajectory(joint_names=self.joints, points=rows), **tolerances)
-        return self.done(self.action.send_goal_async(goal, lambda text: self.heard.append(text.feedback)))
+        return self.done(self.action.send_goal_async(goal, lambda text: self.received.append(text.feedback)))
 
     def result(self, handle):
         answer = self.done(handle.get_result_async())
@@ -74,7 +74,7 @@ def test_goals_are_followed_canceled_replaced_and_judged(scenario, node, mode, c
         wide = [bound(name=joint, position=0.3) for joint in joints]
         until(lambda: handles.append(client.send((1.0, 0.1), goal_tolerance=wide)) or handles[-1].accepted, "the start")
         assert client.result(handles[-1]) == (REACHED, 0)
-        assert client.heard[-1].joint_names == joints
+        assert client.received[-1].joint_names == joints
         assert not client.send((99.0, 0.1)).accepted
         jump = client.send((0.001, 1.5), (1.0, 0.1), path_tolerance=[bound(name=joints[0], position=0.3)])
         assert client.result(jump) == (ABORTED, -4)

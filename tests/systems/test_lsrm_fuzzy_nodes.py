@@ -75,7 +75,7 @@ class Hand:
     def current(self):
         return self.bench.signal("plant", CURRENT_A).x[-1]
 
-    def told(self, key):
+    def has_reported(self, key):
         return key in self.bench.status("plant")["reports"]
 
     def refused(self, topic):
@@ -106,14 +106,14 @@ def test_nodes_started_one_by_one_move_the_translator_in_real_time(bench):
 def test_bad_commands_of_a_person_are_rejected_or_clipped_and_the_nodes_continue(bench):
     hand = Hand(bench)
     hand.sends("phase_voltage", "a b c d", "15 0 0 0", lambda: hand.current() > 5.9)
-    bench.wait(lambda: hand.told("stale phase_voltage"))  # without further commands the voltage is 0 V
+    bench.wait(lambda: hand.has_reported("stale phase_voltage"))  # without further commands the voltage is 0 V
     bench.wait(lambda: hand.current() < 1e-3)
     hand.sends("phase_voltage", "a b c d", "nan 0 0 0", lambda: "a/effort is nan" in hand.refused("phase_voltage")[1])
     hand.sends("phase_voltage", "a b c", "9 9 9", lambda: "names ['a', 'b', 'c']" in hand.refused("phase_voltage")[1])
     assert hand.current() < 1e-3
-    hand.sends("load", "mass friction", "-5 0", lambda: hand.told("bad_load"))
-    assert not hand.told("overcurrent")
+    hand.sends("load", "mass friction", "-5 0", lambda: hand.has_reported("bad_load"))
+    assert not hand.has_reported("overcurrent")
     # The names in another order.
-    hand.sends("phase_voltage", "d c b a", "0 0 0 900", lambda: hand.told("overcurrent"))
-    assert hand.told("clipped")
+    hand.sends("phase_voltage", "d c b a", "0 0 0 900", lambda: hand.has_reported("overcurrent"))
+    assert hand.has_reported("clipped")
     bench.wait(lambda: hand.current() == 0.0)

@@ -30,7 +30,7 @@ def _tell_native():
             if code in known or not (file := lines.place(code.co_filename)):
                 continue
             known.add(code)
-            lines.found.setdefault(file, set()).update(line for _, _, line in code.co_lines() if line)
+            lines.executed.setdefault(file, set()).update(line for _, _, line in code.co_lines() if line)
             names = (function.__globals__.get(name) for name in code.co_names)
             todo += [one.py_func for one in names if isinstance(one, Jit)]
 
@@ -64,7 +64,7 @@ def pytest_runtest_protocol(item):
     finally:
         seconds = time.perf_counter() - started
         outcome = next((o for o in reports if o != "passed"), "passed")
-        executed = {file: set(numbers) for file, numbers in lines.found.items()}
+        executed = {file: set(numbers) for file, numbers in lines.executed.items()}
         for place, line in _of_processes(item.nodeid):
             executed.setdefault(place, set()).add(line)
         test = {

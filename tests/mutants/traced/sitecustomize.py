@@ -13,7 +13,7 @@ from functools import cache
 FOLDER = os.environ.get("SOFTRIG_TRACED")  # folder for the results; without it nothing is traced
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__)))))
 events = sys.monitoring
-found = {}  # executed lines by file, of the test that runs in this process
+executed = {}  # executed lines by file, of the test that runs in this process
 _out = [-1]  # descriptor of the results in a process that a test has started
 
 
@@ -27,12 +27,12 @@ def place(name):
     return path[len(ROOT) + 1 :] if inside else ""
 
 
-def told(code, line):
+def record_line(code, line):
     """Record a line, once."""
     file = place(code.co_filename)
     if file:
         if _out[0] < 0:
-            found.setdefault(file, set()).add(line)
+            executed.setdefault(file, set()).add(line)
         else:
             with suppress(OSError):  # the traced program may have closed it
                 os.write(_out[0], f"{file}:{line}\n".encode())
@@ -42,7 +42,7 @@ def told(code, line):
 def begin():
     """Record lines from here on."""
     events.use_tool_id(events.COVERAGE_ID, "mutants")
-    events.register_callback(events.COVERAGE_ID, events.events.LINE, told)
+    events.register_callback(events.COVERAGE_ID, events.events.LINE, record_line)
     events.set_events(events.COVERAGE_ID, events.events.LINE)
     os.register_at_fork(after_in_child=child)
 
@@ -50,7 +50,7 @@ def begin():
 def here():
     """Record the lines of this process from here on, also in a fork that runs tests."""
     _out[0] = -1
-    found.clear()
+    executed.clear()
     events.restart_events()
 
 

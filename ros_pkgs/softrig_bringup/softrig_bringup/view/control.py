@@ -82,7 +82,7 @@ class Entry(NamedTuple):
     """A line for the page: time in the run (s), author, text, and whether the change was refused."""
 
     t: float
-    who: str
+    author: str
     text: str
     wrong: bool
 

@@ -36,7 +36,7 @@ def head(source: Source, how: str, control: Control) -> str:
         state = f"{source.end:.6g} of {scenario.duration:g} s, {_progress(source, control)}"
     note = "; of what is old only the extremes are kept" if source.thinned else ""
     text = "".join(
-        f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.who}: {s.text}")}</p>'
+        f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.author}: {s.text}")}</p>'
         for s in list(control.entries)[-1:]
     )
     return (
@@ -108,7 +108,7 @@ def health(status: Mapping[str, Mapping[str, Any]]) -> str:
 def log(lines: Iterable[Entry]) -> str:
     """Format the log of actions and reports, newest first."""
     rows = [
-        f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.who)}</td>'
+        f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.author)}</td>'
         f'<td class="{"wrong" if s.wrong else ""}">{html.escape(s.text)}</td></tr>'
         for s in reversed(list(lines))
     ]

@@ -74,7 +74,7 @@ class Clocked(Elsewhere):
 
     def health(self, x: LinkState) -> Mapping[str, str]:
         """Return which node answers."""
-        return {"answers": self._guests[0].who if self._guests else "not there yet"}
+        return {"answers": self._guests[0].full_name if self._guests else "not there yet"}
 
     def update(self, x: LinkState, t: int, **inputs: Any) -> tuple[LinkState, Mapping[str, Any]]:
         """Set the inputs, advance the node's clock to t, and return its answer.

@@ -22,8 +22,8 @@ class Sender(Input):
     ----------
     node : Adapter
         The node that reads the topic.
-    who : str
-        Node name of the sender, for errors.
+    publisher : str
+        Name of the publishing node, for errors.
 
     Attributes
     ----------
@@ -31,10 +31,10 @@ class Sender(Input):
         Stamp of the value that the input holds, ns.
     """
 
-    def __init__(self, node: Adapter, port: Port, who: str = "another node") -> None:
+    def __init__(self, node: Adapter, port: Port, publisher: str = "another node") -> None:
         super().__init__(port)
         self.node = node
-        self.who = who
+        self.publisher = publisher
         self.stamp: int | None = None
         self._number = node.record.foreign.get(port.name)
         self._valued = port.partial or port.delayed  # whether the held value is not simply that of the message
@@ -109,11 +109,11 @@ class Sender(Input):
             return False
         elif number > expected:
             self.lost += number - expected
-            text = f"{self.lost} messages of {self.who} are lost"
+            text = f"{self.lost} messages of {self.publisher} are lost"
             self.node.step.note(Level.WARN, f"lost {self.port.topic}", text)
         self.following = None if number < 0 else number + 1
         return True
 
     def repeated(self, number: int, expected: int) -> None:
         """Refuse an array that has arrived before."""
-        self.node.account.refuse(self, f"number {number} from {self.who}, expected {expected} (already there)")
+        self.node.account.refuse(self, f"number {number} from {self.publisher}, expected {expected} (already there)")

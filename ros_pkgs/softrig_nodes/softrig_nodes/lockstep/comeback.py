@@ -196,7 +196,7 @@ class Comeback:
 
     def _has(self, row: Paired, want: int) -> bool:
         """Return whether a publisher had published at one of its ticks."""
-        if want < self._files.answered.get(row.who, 0):
+        if want < self._files.answered.get(row.publisher, 0):
             return True
         times = self._paired[row].times if row in self._paired else []
         return want < 0 or (not row.silent and bool(times) and times[-1] >= want)
@@ -212,7 +212,7 @@ class Comeback:
             row.resume(used, reached)
             # A node that has left publishes nothing more, so `Lockstep._leave` must not wait for its first sign of
             # life.
-            row.received_any = row.who in self.ended
+            row.received_any = row.publisher in self.ended
             # No tick waits for an unpaced row, so it counts as complete.
             row.have = row in drive.senders.unpaced
             # Acknowledgements up to `reached` are ignored as repeated ones, so the messages that they announced are
@@ -237,10 +237,10 @@ class Comeback:
         new = files.ended - self.ended
         self.ended |= new
         for row in (*self._drive.senders.rows, *self._drive.senders.unpaced):
-            row.received_any = row.received_any or row.who in new
+            row.received_any = row.received_any or row.publisher in new
             # A node that is still there repeats its messages itself; one that has left does not, so all of its messages
             # are read now.
-            if row.have and row.who not in new:
+            if row.have and row.publisher not in new:
                 continue
             if not isinstance(row, Pace):
                 received = _Recorded(row, files, outside=False)
@@ -265,7 +265,7 @@ class Comeback:
 
     def _answered(self, row: Paired) -> int:
         """Return the newest tick that a sender had answered."""
-        before = self._files.answered.get(row.who, 0)
+        before = self._files.answered.get(row.publisher, 0)
         # `read_files` marks a node that has left by infinity: it has answered its last tick, whatever its last status
         # says.
         if math.isinf(before):

@@ -107,7 +107,7 @@ class Lockstep(Link):
             node.hold.begin(node.middleware, self._turns.turn)
         if links.acknowledges:
             wanted.append((node.outgoing.tick_output, links.tick_readers))
-        awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
+        awaited: list[tuple[Input, str]] = [(row, row.publisher) for row in [*senders.rows, *senders.unpaced]]
         # A node in a process of its own receives what it publishes itself; one in a container does not.
         in_process = {*local, node.middleware.name} if local else set()
         solvers = [name for name in links.solvers if name not in in_process]

@@ -78,7 +78,7 @@ class PairedSenders:
 
     def without(self, local: Set[str]) -> None:
         """Stop waiting for nodes of the same process; the order of the runner ensures that they have published."""
-        self.rows = [r for r in self.rows if r.who not in local and not r.local]
+        self.rows = [r for r in self.rows if r.publisher not in local and not r.local]
 
     def follow_clock(self, link: InputLink) -> None:
         """Let /clock pace the node."""
@@ -98,7 +98,7 @@ class PairedSenders:
         silent: dict[str, list[Paired]] = {}
         for row in self.rows:
             if row.silent:
-                silent.setdefault(row.who, []).append(row)
+                silent.setdefault(row.publisher, []).append(row)
         for name in [w for w in dict.fromkeys([*links.acks, *silent]) if w not in local]:
             port, awaited = Port("stamp", f"{node.namespace}/{name}/tick", TICK), name in links.acks
             link = InputLink(period=links.acks[name], node=name) if awaited else links.inputs[silent[name][0].name]
@@ -291,7 +291,7 @@ class Paired(Sender):
         else:
             got, want = position / SECOND, self.want / SECOND
             twice = " (already there)" if self.have else ""
-            self.node.account.refuse(self, f"stamp {got:.9g} s from {self.who}, expected {want:.9g} s{twice}")
+            self.node.account.refuse(self, f"stamp {got:.9g} s from {self.publisher}, expected {want:.9g} s{twice}")
 
     def recall(self, number: int, data: bytes) -> None:
         """Accept a message from the record of its sender: its number there, from 0."""
@@ -438,7 +438,7 @@ class Counted(Paired):
         # A gap would pair all later messages with wrong ticks, so the run ends.
         elif number > expected:
             lost = f"{number - expected} lost"
-            node.fail(f"{self.port.topic}: number {number} from {self.who}, expected {expected} ({lost})")
+            node.fail(f"{self.port.topic}: number {number} from {self.publisher}, expected {expected} ({lost})")
         # Repetition is intended in a run with restarts, and of the first message for late outside subscribers.
         elif not node.links.returns and (number or not node.links.guests):
             self.repeated(number, expected)

@@ -58,7 +58,7 @@ class Stalls:
             if limit and waited > limit:
                 absent = self.handshake.absent()
                 lacking = [row for row in senders.rows if not row.have]
-                node.waits_for = self.handshake.missing if absent else [row.who for row in lacking]
+                node.waits_for = self.handshake.missing if absent else [row.publisher for row in lacking]
                 silent = [f"nothing on {row.port.topic} yet" for row in lacking]
                 node.fail(f"not all peers after {limit:g} s: {'; '.join(absent or silent)}")
         elif node.state == "running":
@@ -99,7 +99,7 @@ class Stalls:
         # In the first ticks other nodes may still be starting, which is no stall.
         if lacking and waited > REPORT_AFTER and node.ticks > 1 and not self._reported:
             self._reported = True
-            missing = ", ".join(f"{row.port.topic} from {row.who}" for row in lacking)
+            missing = ", ".join(f"{row.port.topic} from {row.publisher}" for row in lacking)
             node.step.note(Level.WARN, STANDS, f"waits for {missing} at t = {node.t / SECOND:.9g} s", anew=True)
         unpublished = [row for row in lacking if not row.publishers and not node.links.returns]
         limit = node.options.timeout
@@ -119,11 +119,11 @@ class Stalls:
                 return
             lacking = unpublished or lacking
             missing = ", ".join(
-                f"{row.port.topic} from {row.who}{' (gone)' if row in unpublished else ''}"
+                f"{row.port.topic} from {row.publisher}{' (gone)' if row in unpublished else ''}"
                 f"{'; last refused: ' + row.last_refusal if row.last_refusal else ''}"
                 f"{f'; it is ahead, at {max(row.pending) / SECOND:.9g} s' if row.pending else ''}"
                 f"{f'; its last message was stamped 0: {COPY}' if row.last_stamp_zero else ''}"
                 for row in lacking
             )
-            node.waits_for = [row.who for row in lacking]
+            node.waits_for = [row.publisher for row in lacking]
             node.fail(f"nothing stamped t = {node.t / SECOND:.9g} s within {waited:.1f} s on {missing}")

@@ -121,14 +121,14 @@ class Realtime(Link):
         # A `Beat` may have set it already by `follow`.
         self._begun = self._begun or self._by_itself()
         acknowledgements = listen(
-            self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local]
+            self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.publisher not in local]
         )
         # With a given epoch the nodes need not agree on a start.
         if node.links.starter and not node.epoch:
             readers, inputs = node.links.readers, node.links.inputs
             wanted = [(o, list(readers.get(o.name, []))) for o in node.outgoing.outputs]
             awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
-            awaited += [(i, i.who) for i in acknowledgements]
+            awaited += [(i, i.publisher) for i in acknowledgements]
             wanted.append((node.outgoing.tick_output, node.links.silence_readers))
             shake = Handshake(node, awaited, wanted, local)
             self.departure = Departure(node, shake, local, self._begin_at, self._stand.receive)

@@ -113,7 +113,7 @@ def listen(table: LiveSenders, rows: Iterable[Sporadic]) -> list[Acknowledgement
     node = table.node
     by_sender: dict[str, list[tuple[Sporadic, str]]] = {}
     for row in rows:
-        by_sender.setdefault(row.who, []).append((row, node.links.inputs[row.name].port))
+        by_sender.setdefault(row.publisher, []).append((row, node.links.inputs[row.name].port))
     result = [Acknowledgements(table, name, its_rows) for name, its_rows in by_sender.items()]
     for acknowledgement in result:
         node.paces.append(acknowledgement)

@@ -59,7 +59,7 @@ class Guest:
 
     Attributes
     ----------
-    who : str
+    full_name : str
         Full name of the third-party node.
     """
 
@@ -84,7 +84,7 @@ class Guest:
             )
             for p in outputs
         }
-        self.who = f"/{name}/?"
+        self.full_name = f"/{name}/?"
         atexit.register(self.close)
         self._meet(entry.start_timeout)
 
@@ -130,20 +130,22 @@ class Guest:
         arrived = self._received[port.name]
         if len(arrived) != 1:
             raise RunError(
-                f"{self.who} has published {len(arrived)} messages on {self._topic(port)} at t = {t / 1e9:.9g} s, "
-                "expected exactly one a period; set the node's period and that of its timer alike"
+                f"{self.full_name} has published {len(arrived)} messages on {self._topic(port)} at t = {t / 1e9:.9g} s"
+                ", expected exactly one a period; set the node's period and that of its timer alike"
             )
         try:
             return self._decoders[port.name](arrived.pop())[1]
         except Refused as error:
-            raise RunError(f"{self.who} publishes on {self._topic(port)} at t = {t / 1e9:.9g} s: {error}") from None
+            raise RunError(
+                f"{self.full_name} publishes on {self._topic(port)} at t = {t / 1e9:.9g} s: {error}"
+            ) from None
 
     def _check_silent(self, t: int) -> None:
         for port in self._outputs:
             if self._received[port.name]:
                 raise RunError(
-                    f"{self.who} has published on {self._topic(port)} at t = {t / 1e9:.9g} s, before its first message "
-                    "is due; a node that answers each message has first: 0.0"
+                    f"{self.full_name} has published on {self._topic(port)} at t = {t / 1e9:.9g} s, before its first "
+                    "message is due; a node that answers each message has first: 0.0"
                 )
 
     # the graph ------------------------------------------------------------------------------------------------------
@@ -177,12 +179,12 @@ class Guest:
                 raise RunError(f"{self._lacks(lacking, wanted)}; waited for {limit:g} s")
         # The graph knows endpoints before the names of their nodes.
         self._wait(lambda: "UNKNOWN" not in self._named(), 0)
-        self.who = self._named()
-        self._parameters = self._node.create_client(GetParameters, f"{self.who}/get_parameters")
+        self.full_name = self._named()
+        self._parameters = self._node.create_client(GetParameters, f"{self.full_name}/get_parameters")
         self._wait(self._parameters.service_is_ready, 0)
         result = self._asked("use_sim_time", 0)
         if not (result.values and result.values[0].bool_value):
-            raise RunError(f"{self.who} does not follow /clock; start it with -p use_sim_time:=true")
+            raise RunError(f"{self.full_name} does not follow /clock; start it with -p use_sim_time:=true")
 
     def _lacks(self, lacking: Sequence[str], wanted: Collection[str]) -> str:
         """Describe what is missing and what to do: for a missing node, or one that lacks an input or output."""
@@ -231,11 +233,11 @@ class Guest:
                 repeat += AGAIN
             unpublished = [p for p in self._outputs if not self._node.count_publishers(self._topic(p))]
             if unpublished and not done():
-                raise RunError(f"{self.who} has gone at t = {t / 1e9:.9g} s")
+                raise RunError(f"{self.full_name} has gone at t = {t / 1e9:.9g} s")
             if time.monotonic() > end and not done():
                 silent = [self._topic(p) for p in self._outputs if not self._received[p.name]]
                 raise RunError(
-                    f"{self.who} at t = {t / 1e9:.9g} s: "
+                    f"{self.full_name} at t = {t / 1e9:.9g} s: "
                     + (
                         request
                         or f"no message on {', '.join(silent)} within {self._seconds:g} s of its clock, expected one "
