@@ -29,7 +29,7 @@ from softrig_systems.pwa_delay import search
 from softrig_systems.pwa_delay.certificate import CertificateNode, CriterionParams
 from softrig_systems.pwa_delay.controllers import DelayLine, PendulumController, TankController
 from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor
-from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, constants, run_pendulum
+from softrig_systems.pwa_delay.motion import FREE, PendulumConstants, TankConstants, constants, run_pendulum, run_tank
 from softrig_systems.pwa_delay.params import BENCHMARK
 from softrig_systems.pwa_delay.plants import PendulumPlant, SwitchedDelayPlant, TankPlant
 from softrig_systems.pwa_delay.profiles import profile
@@ -43,10 +43,11 @@ from softrig_systems.pwa_delay.search import (
     find_margin,
     growth_rate,
     pwa_margin,
+    run_of,
     simulate_pwa,
-    simulate_tank,
 )
 from softrig_systems.pwa_delay.system import (
+    TANK_C,
     PwaSystem,
     continuous_tank,
     from_lines,
@@ -490,6 +491,12 @@ def test_margins_of_linear_systems_are_exact():
     assert result.h == pytest.approx(EXACT, abs=2e-4)
     assert pwa_margin(linear(0.0, -1.0), 1.5, 1.65, (1.0,), 400.0).h == pytest.approx(math.pi / 2.0, abs=1e-5)
     assert pwa_margin(continuous_tank(), 11.0, 12.0, (1.0,), 3000.0, width=1e-3).h == pytest.approx(11.49, abs=0.005)
+
+
+def simulate_tank(h, level, duration, steps=400, pwa=False):
+    """P2 under its own law with a constant delay, from a constant level."""
+    p = TankConstants(TANK_C, 0.5, 0.2, 0.1, 1.0, float(pwa), np.array([FREE]), profile("constant", h))
+    return run_of(run_tank, p, [level, 0.0], h, duration, steps)
 
 
 @pytest.mark.long

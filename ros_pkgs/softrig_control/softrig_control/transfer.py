@@ -32,12 +32,7 @@ class Sampled(NamedTuple):
     c: tuple[float, ...]
 
     def step_response(self, samples: int) -> list[float]:
-        """Compute y(1), y(2), ... after u = 1 from t = 0 on, from rest, as a plant steps.
-
-        Parameters
-        ----------
-        samples : int
-        """
+        """Compute y(1), y(2), ... after u = 1 from t = 0 on, from rest, as a plant steps."""
         x, result = [0.0] * len(self.a), []
         for _ in range(samples):
             moved = matmul(self.a, [(v,) for v in x])
@@ -135,12 +130,7 @@ class Exact:
 
 
 def off(values: Sequence[float], wanted: Sequence[float]) -> float:
-    """Compute the largest difference of two responses, relative to the largest value of the second.
-
-    Parameters
-    ----------
-    values, wanted : sequence of float
-    """
+    """Compute the largest difference of two responses, relative to the largest value of the second."""
     largest = max(map(abs, wanted))
     return max(abs(x - y) for x, y in zip(values, wanted, strict=True)) / largest if largest else 0.0
 

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
@@ -225,6 +225,13 @@ def replace(path: Path, text: str | bytes) -> None:
             temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_files(folder: Path, files: Mapping[str, str]) -> None:
+    """Write files, text by name, into a folder, which is created if necessary."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        replace(folder / name, text)
 
 
 def plain(text: str) -> str:

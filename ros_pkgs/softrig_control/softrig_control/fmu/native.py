@@ -80,9 +80,7 @@ def export_native(rig: Rig, node: str, folder: Path, start: Mapping[str, Sequenc
     variables = _variables(member, done, start)
     sources = resources.files(__package__)
     headers = Path(fmpy.__file__).parent / "c-code"
-    files = {
-        n: t for n, t in done.files.items() if n.endswith((".h", ".c")) and not n.endswith(("_replay.c", "_main.c"))
-    }
+    files = {n: t for n, t in done.files.items() if n.endswith((".h", ".c")) and not n.endswith(PROGRAMS)}
     files |= {p.name: p.read_text() for p in headers.glob(f"{HEADERS[version]}*.h")}
     files["native_model.c"] = (sources / "native_model.c").read_text()
     files["model.h"] = _model(member, done, variables)

@@ -106,12 +106,7 @@ class Carima:
         )
 
     def step_response(self, samples: int) -> list[float]:
-        """Compute y(1), y(2), ... after u = 1 from t = 0 on, from rest, without xi.
-
-        Parameters
-        ----------
-        samples : int
-        """
+        """Compute y(1), y(2), ... after u = 1 from t = 0 on, from rest, without xi."""
         result: list[float] = []
         for k in range(samples):
             y = total(self.b[: k + 1])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..command_line import Parser
 from ..errors import ScenarioError
-from ..guard import replace
+from ..guard import write_files
 from ..native.value import NotNative
 from ..rig.rig import Rig
 from ..run.expand import rig_of
@@ -70,7 +70,7 @@ def export_c(
         There is no such node, or part of it has no C; the message names the line.
     """
     done = c_of(rig, node, rows=rows, drawn=drawn, single=single)
-    _written(done, folder)
+    write_files(folder, done.files)
     return done
 
 
@@ -122,14 +122,8 @@ def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False
         done, left = rig_files(rig, rows, single=single)
     except ScenarioError as reason:
         raise ScenarioError(advised(str(reason))) from None
-    _written(done, folder)
+    write_files(folder, done.files)
     return done, left
-
-
-def _written(done: Exported, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in done.files.items():
-        replace(folder / name, text)
 
 
 def main(arguments: Sequence[str]) -> int:

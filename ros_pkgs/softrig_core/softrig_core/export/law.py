@@ -232,14 +232,7 @@ class _Row:
 
 
 class Text:
-    """The text of a block, which Python runs call by call.
-
-    Parameters
-    ----------
-    block : Block
-    law : Law
-    inputs : sequence of Port
-    """
+    """The text of a block, which Python runs call by call."""
 
     def __init__(self, block: Block, law: Law, inputs: Sequence[Port]) -> None:
         self.law, self.inputs = law, inputs

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, register_namespac
 from ..block.port import Port
 from ..command_line import Parser
 from ..errors import ScenarioError
-from ..guard import replace
+from ..guard import write_files
 from ..native.value import NotNative
 from ..rig.members import Member
 from ..rig.rig import Rig
@@ -262,10 +262,8 @@ def main(arguments: Sequence[str]) -> int:
     for node in options.nodes:
         units, done = st_of(rig, node)
         folder = options.out or Path(node)
-        folder.mkdir(parents=True, exist_ok=True)
         files = written(units, done.name, options.format)
-        for name, text in files.items():
-            replace(folder / name, text)
+        write_files(folder, files)
         print(f"{folder}: {', '.join(files)}")
         if options.check:
             result = executed(written(units, done.name, "st")[f"{done.name}.st"], done, member_of(rig, node))

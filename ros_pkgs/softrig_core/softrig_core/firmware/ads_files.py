@@ -14,7 +14,7 @@ from ..export.golden import member_of
 from ..export.kinds import identifier
 from ..export.st import Unit
 from ..export.st_files import st_of, written
-from ..guard import naming
+from ..guard import write_files
 from ..rig.members import Member
 from ..run.expand import rig_of
 
@@ -131,10 +131,7 @@ def main(arguments: Sequence[str]) -> int:
     units = [] if empty else st_of(rig, options.node)[0]
     link = link_units(member, units[-1] if units else None)
     folder = options.out or Path(options.node)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in written([*units, *link], member.name, "tcpou").items():
-        with naming(folder / name):
-            (folder / name).write_text(text, encoding="utf-8")
+    write_files(folder, written([*units, *link], member.name, "tcpou"))
     note = "add your code to it" if empty else f"calls {units[-1].name}"
     print(f"{folder}: {len(units) + len(link)} files; {link[-1].name}.TcPOU {note} and is the firmware of a link")
     return 0

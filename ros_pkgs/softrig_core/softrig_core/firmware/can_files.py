@@ -14,6 +14,7 @@ from ..export.command import DRAWN, ROWS, export_c
 from ..export.golden import member_of
 from ..export.kinds import identifier
 from ..export.unit import literal
+from ..guard import write_files
 from ..rig.rig import Rig
 
 SUPPORT = "softrig_can.h"
@@ -47,12 +48,12 @@ def export_can(rig: Rig, node: str, dbc: Path, build: str, folder: Path, rows: i
     done = export_c(rig, node, folder, rows=rows, drawn=drawn)
     period = (member.schedule.period * 10**9).as_integer_ratio()
     plant = issubclass(member.block_class, Plant)
-    for name, text in {
+    files = {
         SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
         f"{done.name}_can.h": _HEADER.format(n=done.name, upper=done.name.upper(), most=max(1, len(messages.back))),
         f"{done.name}_can.c": _source(done.name, messages, inputs, outputs, plant, build, period),
-    }.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    }
+    write_files(folder, files)
     return done.name
 
 

@@ -13,7 +13,7 @@ from ..errors import ScenarioError
 from ..export.check import BOARDS
 from ..export.command import DRAWN, ROWS, export_c
 from ..export.golden import member_of
-from ..guard import naming
+from ..guard import write_files
 from ..rig.rig import Rig
 from .link_files import link_files
 
@@ -68,10 +68,8 @@ def export_firmware(
         files["main.c"] = filled("board_cortex_m.c", done.name, baud)
         files["board.ld"] = filled("board.ld", done.name, baud)
         known |= {"core": board, "machine": BOARDS[board][0]}
-    described.write_text(json.dumps(known | {"baud": baud}, indent=1) + "\n")
-    for name, text in files.items():
-        with naming(folder / name):
-            (folder / name).write_text(text, encoding="utf-8")
+    files[described.name] = json.dumps(known | {"baud": baud}, indent=1) + "\n"
+    write_files(folder, files)
     return done.name, layout
 
 

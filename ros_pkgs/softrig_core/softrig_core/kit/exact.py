@@ -192,25 +192,11 @@ def exponential(rows: Rows, bits: int) -> Integers:
     return rounded
 
 
-def expm(rows: Rows) -> tuple[tuple[float, ...], ...]:
-    """Return the float64 nearest to each entry of exp of a matrix.
-
-    Parameters
-    ----------
-    rows : (n, n) nested sequence of Fraction
-
-    Raises
-    ------
-    OverflowError
-        An entry is beyond float64.
-    UnsettledError
-        An entry has more than some thousand zeros before its first digit.
-    """
-    return settled(exponentials(rows))
-
-
 def exponentials(rows: Rows) -> Callable[[int], tuple[tuple[float, ...], ...]]:
-    """Return a function that computes exp of a matrix with a number of bits: see `expm`, which settles their number."""
+    """Return a function that computes the entries of exp of a matrix with a number of bits, for `settled`.
+
+    An entry beyond float64 raises an OverflowError; one with some thousand zeros before its first digit is not settled.
+    """
     balanced, exponents = balance(rows)
     reached = _reached(rows)
     # With so many bits, an entry that is still 0 is 0 in float64 too.

@@ -70,10 +70,6 @@ def check_entry_point(point: EntryPoint) -> str:
     finite and the same after a reset. Two ticks on first values change only the state x, and repeated from the same x
     they are the same.
 
-    Parameters
-    ----------
-    point : importlib.metadata.EntryPoint
-
     Returns
     -------
     str

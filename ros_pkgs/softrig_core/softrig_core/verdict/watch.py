@@ -219,12 +219,7 @@ class Watch(Observer[W]):
 
 
 class Recent(Mapping[str, Signal]):
-    """The signals of some ports from some time on, for figure functions.
-
-    Parameters
-    ----------
-    ports : iterable of Port
-    """
+    """The signals of some ports from some time on, for figure functions."""
 
     def __init__(self, ports: Iterable[Port]) -> None:
         self.ports = {port.topic: port for port in ports}

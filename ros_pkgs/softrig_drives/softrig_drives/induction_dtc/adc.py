@@ -52,10 +52,6 @@ class Converter:
         dither   y = q (floor(x/q + 1/2 - delta) + d)       d in {0, 1}, P(d = 1) = p_d: mean error p_d - delta
 
     The mean errors are in LSB; the dither bit is added after clipping.
-
-    Parameters
-    ----------
-    p : AdcParams
     """
 
     def __init__(self, p: AdcParams) -> None:

@@ -120,12 +120,7 @@ def admittance(half: Complex, source: complex, series: complex, shunt: complex =
 
 
 class Network:
-    """Fundamental-frequency network of the power flow, the lines as exact two-ports.
-
-    Parameters
-    ----------
-    params : NetworkParams
-    """
+    """Fundamental-frequency network of the power flow, the lines as exact two-ports."""
 
     def __init__(self, params: NetworkParams) -> None:
         self.params = params

@@ -9,11 +9,9 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core import (
     Array,
-    Jobs,
     Level,
     Port,
     Result,
-    Solver,
     SolverParams,
     Work,
     array,
@@ -22,7 +20,7 @@ from softrig_core import (
     scalars,
 )
 
-from .params import SystemParams, law_of_the_tank
+from .params import AskedSolver, AskedState, SystemParams, law_of_the_tank
 from .proof.applicability import NotApplicable
 from .proof.certify import Certificate, Criterion, certified_margin, certify
 from .proof.level import level_bound, level_margin
@@ -111,19 +109,7 @@ class Answer(NamedTuple):
     reason: str
 
 
-class State(NamedTuple):
-    """State from tick to tick."""
-
-    down: bool = False
-    """Whether the button is."""
-
-    asked: bool = False
-    """Whether it has been asked since the start."""
-
-    jobs: Jobs = Jobs()
-
-
-class CertificateNode(Solver[CertificateParams]):
+class CertificateNode(AskedSolver[CertificateParams]):
     """Certifies a delay bound, or searches the largest; published results are verified from the matrices themselves.
 
     ``certificate/verdict``: h, valid (1 or 0), the solver's margin t, the smallest eigenvalue of any inequality as a
@@ -136,8 +122,6 @@ class CertificateNode(Solver[CertificateParams]):
     The certificate applies to the node's parameters; a rig whose plant or controller has other values is refused, and
     the error names the value. For a level, h includes the delay of the pipe and the hold of the controller.
     """
-
-    STATE = State
 
     @classmethod
     def agreed(cls, params: CertificateParams) -> Mapping[str, Any]:
@@ -154,14 +138,6 @@ class CertificateNode(Solver[CertificateParams]):
         verdict = scalars("verdict", "certificate/verdict", VERDICT, sporadic=True)
         outputs = (params.matrices_port(sporadic=True), verdict) if params.shapes() else (verdict,)
         return (button("certify", "certify", held=True),), outputs
-
-    def request(
-        self, x: State, t: int, *, certify: tuple[float, ...] | None = None
-    ) -> tuple[State, CertificateParams | None]:
-        """Request a certificate at the start and when the button is pressed."""
-        down = certify is not None and certify[0] != 0.0
-        wanted = (down and not x.down) or (self.p.at_start and not x.asked)
-        return State(down, True, x.jobs), self.p if wanted else None
 
     @staticmethod
     def solve(request: CertificateParams, work: Work) -> Answer:
@@ -188,7 +164,7 @@ class CertificateNode(Solver[CertificateParams]):
             return Answer(None, f"not applicable: {reason}")
         return Answer(certificate, "" if certificate is not None and certificate.valid else "no certificate")
 
-    def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Mapping[str, Any]]:
+    def answer(self, x: AskedState, t: int, result: Result | None, new: bool) -> tuple[AskedState, Mapping[str, Any]]:
         """Publish a new result."""
         if result is None or not new:
             return x, {}
@@ -205,7 +181,7 @@ class CertificateNode(Solver[CertificateParams]):
             return x, {"verdict": verdict, "matrices": (0.0,) * int(np.prod(self.p.padded()))}
         return x, {"verdict": verdict, "matrices": self.p.pad(actual.matrices)}
 
-    def health(self, x: State) -> Mapping[str, str]:
+    def health(self, x: AskedState) -> Mapping[str, str]:
         """Describe which matrices are published, and the eigenvalues of the newest certificate."""
         figures = {**super().health(x), "matrices": ", ".join(self.p.shapes())}
         result = x.jobs.result

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core import Jobs, Level, Result, Solver, SolverParams, Work, button, param, scalars
+from softrig_core import Level, Result, SolverParams, Work, button, param, scalars
 
-from .params import SystemParams
+from .params import AskedSolver, AskedState, SystemParams
 from .profiles import profile
 from .search import Margin, find_margin, growth_rate, simulate_pwa
 
@@ -33,19 +33,7 @@ class MarginSearchParams(SystemParams, SolverParams):
         return self
 
 
-class State(NamedTuple):
-    """State from tick to tick."""
-
-    down: bool = False
-    """Whether the button is."""
-
-    asked: bool = False
-    """Whether it has been asked since the start."""
-
-    jobs: Jobs = Jobs()
-
-
-class MarginSearch(Solver[MarginSearchParams]):
+class MarginSearch(AskedSolver[MarginSearchParams]):
     """Bisects the growth rate of simulated trajectories over constant delays.
 
     ``margin``: the margin, its bracket (s) and the growth rate there (1/s). It is the first margin in the bracket that
@@ -55,20 +43,11 @@ class MarginSearch(Solver[MarginSearchParams]):
 
     INPUTS = (button("search", "search", held=True),)
     OUTPUTS = (scalars("margin", "margin", {"margin": "s", "low": "s", "high": "s", "growth": "1/s"}, sporadic=True),)
-    STATE = State
 
     @classmethod
     def agreed(cls, params: MarginSearchParams) -> Mapping[str, Any]:
         """The system."""
         return params.agreed()
-
-    def request(
-        self, x: State, t: int, *, search: tuple[float, ...] | None = None
-    ) -> tuple[State, MarginSearchParams | None]:
-        """Request a search at the start and when the button is pressed."""
-        down = search is not None and search[0] != 0.0
-        wanted = (down and not x.down) or (self.p.at_start and not x.asked)
-        return State(down, True, x.jobs), self.p if wanted else None
 
     @staticmethod
     def solve(request: MarginSearchParams, work: Work) -> Margin | str:
@@ -87,7 +66,7 @@ class MarginSearch(Solver[MarginSearchParams]):
         except ValueError as reason:
             return str(reason)
 
-    def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Mapping[str, Any]]:
+    def answer(self, x: AskedState, t: int, result: Result | None, new: bool) -> tuple[AskedState, Mapping[str, Any]]:
         """Publish a new result."""
         if result is None or not new:
             return x, {}

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, Level, Params, param
+from softrig_core import Block, Jobs, Level, Params, Solver, SolverParams, param
+from typing_extensions import TypeVar
 
 from .profiles import Kind, Profile, profile
 from .system import PwaSystem, continuous_tank, from_lines, linear, pendulum, switched, tank
@@ -105,6 +106,35 @@ def _build(
 def law_of_the_tank(switch: float, k_low: float, k_high: float) -> dict[str, Any]:
     """Return the quantities on which all nodes that use the tank's controller must agree."""
     return {"tank/switch": switch, "tank/k_low": k_low, "tank/k_high": k_high}
+
+
+class AskedState(NamedTuple):
+    """State of an `AskedSolver` from tick to tick."""
+
+    down: bool = False
+    """Whether the button is."""
+
+    asked: bool = False
+    """Whether it has been asked since the start."""
+
+    jobs: Jobs = Jobs()
+
+
+S = TypeVar("S", bound=SolverParams, default=Any)
+
+
+class AskedSolver(Solver[S]):
+    """Base of solvers that work when their button, the only input, is pressed, and with `at_start` at the start."""
+
+    STATE = AskedState
+
+    def request(self, x: AskedState, t: int, **inputs: tuple[float, ...] | None) -> tuple[AskedState, Any]:
+        """Request the work of the parameters at the start and when the button is pressed."""
+        p: Any = self.p
+        button = next(iter(inputs.values()), None)
+        down = button is not None and button[0] != 0.0
+        wanted = (down and not x.down) or (p.at_start and not x.asked)
+        return AskedState(down, True, x.jobs), p if wanted else None
 
 
 class DelayParams(Params):

@@ -10,9 +10,9 @@ import numpy as np
 from softrig_core import Array
 from softrig_core.kit.dde import trajectory
 
-from .motion import FREE, TankConstants, constants, run_pwa, run_tank
+from .motion import constants, run_pwa
 from .profiles import Profile, profile
-from .system import TANK_C, PwaSystem
+from .system import PwaSystem
 
 
 class Run(NamedTuple):
@@ -33,7 +33,8 @@ class Margin(NamedTuple):
     growth: dict[float, float]
 
 
-def _run(loop: Callable[..., int], p: object, start: Sequence[float], h: float, duration: float, steps: int) -> Run:
+def run_of(loop: Callable[..., int], p: object, start: Sequence[float], h: float, duration: float, steps: int) -> Run:
+    """Simulate with the loop of a plant from a constant history, with a delay of at most h (s)."""
     step = h / steps
     count = round(duration / step)
     past, x, sizes = trajectory(step, h + 2.0 * step, tuple(start), spare=64), np.array(start, float), np.empty(count)
@@ -54,13 +55,7 @@ def simulate_pwa(system: PwaSystem, delay: Profile, x0: Sequence[float], duratio
     steps : int
         Steps in the longest delay.
     """
-    return _run(run_pwa, constants(system, delay), [float(v) for v in x0], delay.h, duration, steps)
-
-
-def simulate_tank(h: float, level: float, duration: float, *, steps: int = 400, pwa: bool = False) -> Run:
-    """Simulate P2 under its own law with a constant delay h (s) from a constant level."""
-    p = TankConstants(TANK_C, 0.5, 0.2, 0.1, 1.0, float(pwa), np.array([FREE]), profile("constant", h))
-    return _run(run_tank, p, [level, 0.0], h, duration, steps)
+    return run_of(run_pwa, constants(system, delay), [float(v) for v in x0], delay.h, duration, steps)
 
 
 def growth_rate(run: Run) -> float:

@@ -58,12 +58,7 @@ def fixed(system: PwaSystem, matrices: Mapping[str, Array], m: int, period: floa
 
 
 class Watch:
-    """The newest samples of state, slope and V, a value.
-
-    Parameters
-    ----------
-    fixed : Fixed
-    """
+    """The newest samples of state, slope and V, a value."""
 
     __slots__ = ("counts", "fixed", "rows", "slopes", "values")
 

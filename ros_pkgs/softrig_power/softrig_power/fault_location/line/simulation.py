@@ -207,10 +207,6 @@ def record(net: Network, chain: Chain, transform: Array, state: State, decimatio
 class FaultedLine:
     """The simulated line from its steady state on.
 
-    Parameters
-    ----------
-    p : RigParams
-
     Attributes
     ----------
     state : State
