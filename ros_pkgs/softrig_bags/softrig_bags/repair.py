@@ -22,7 +22,8 @@ from .files.mcap_recover import Recovery
 from .files.metadata import custom_data, profiles
 from .files.reader import BagReader
 from .files.remains import METADATA, Remains, remains
-from .files.sqlite_recover import Declared, SqliteRecovery, journals
+from .files.source import SourceTopic
+from .files.sqlite_recover import SqliteRecovery, journals
 from .write import write_bag
 
 # `write_bag` uses this name for a bag that it has not finished; the repaired bag gets the final one.
@@ -257,15 +258,13 @@ def _mcap_topic(channel: Channel, schema: Schema | None) -> BagTopic:
     name, text, encoding = "", "", ""
     if schema is not None:
         name, text, encoding = schema.name, schema.data.decode(errors="replace"), schema.encoding
-    return _topic(Declared(channel.topic, name, text, encoding, digest, offered, channel.message_encoding))
+    return _topic(SourceTopic(channel.topic, name, text, encoding, digest, offered, channel.message_encoding))
 
 
-def _topic(declared: Declared) -> BagTopic:
-    name, msgtype, text, encoding, digest, offered, wire = declared
-    known = BagTopic.known(name, msgtype, profiles(offered), digest)
-    if not text:
-        return replace(known, wire=wire)
-    return BagTopic(name, msgtype, text, known.digest, known.offered, encoding, wire)
+def _topic(stated: SourceTopic) -> BagTopic:
+    name, msgtype, text, language, digest, offered, wire = stated
+    known = replace(BagTopic.known(name, msgtype, profiles(offered), digest), wire=wire)
+    return replace(known, definition=text, encoding=language) if text else known
 
 
 def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
@@ -283,7 +282,7 @@ def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[
 
 
 def _sqlite3_topics(recovery: SqliteRecovery, report: FileReport) -> dict[int, BagTopic]:
-    topics = {number: _topic(declared) for number, declared in recovery.topics.items()}
+    topics = {n: _topic(t._replace(encoding=t.encoding or "cdr")) for n, t in recovery.topics.items()}
     report.topics, report.custom_data = list(topics.values()), recovery.custom_data
     return topics
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from softrig_core import Recording
 from softrig_core.guard import naming
@@ -20,38 +20,8 @@ from .yaml_text import qos_dicts, to_yaml
 NEVER = 2**63 - 1
 
 
-class StorageFile(Protocol):
-    """One file of a bag; numbers of topics start at 1."""
-
-    path: Path
-    counts: dict[int, int]
-    first: int
-    last: int
-
-    @property
-    def size(self) -> int:
-        """Bytes so far."""
-
-    def add_topic(self, number: int, topic: BagTopic) -> None:
-        """Declare a topic."""
-
-    def write(self, number: int, t: int, data: bytes) -> None:
-        """Append one message."""
-
-    def flush(self) -> None:
-        """Flush everything written so far to the disk, safe against a crash."""
-
-    def discard(self) -> int:
-        """Drop messages that are not flushed, and return their number."""
-
-    def close(self, metadata: str) -> None:
-        """Flush, write metadata and index, close."""
-
-    def abort(self) -> None:
-        """Close the file as it is."""
-
-
-STORAGES: Mapping[str, type[McapFile] | type[Sqlite3File]] = {"mcap": McapFile, "sqlite3": Sqlite3File}
+StorageFile = McapFile | Sqlite3File
+STORAGES: Mapping[str, type[StorageFile]] = {"mcap": McapFile, "sqlite3": Sqlite3File}
 
 
 class BagWriter:

@@ -10,8 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +29,7 @@ from .mcap_format import (
     SCHEMA,
     STATISTICS,
 )
-from .source import Damaged, SourceTopic
+from .source import Damaged, Source, SourceTopic
 
 # Bytes that are read at a time where messages are outside of chunks, which may be most of a large file.
 WINDOW = 1 << 23
@@ -57,37 +56,14 @@ class Part(NamedTuple):
 
 
 @dataclass
-class McapSource:
-    """One MCAP file that is open for reading.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-
-    Attributes
-    ----------
-    topics : dict of int to SourceTopic
-        By number of the channel, those that have been met so far.
-    stated : dict of int to int
-        Messages by channel as the statistics of the file claim; empty where it has none.
-    metadata : str
-        What rosbag2 left in the file: its metadata as YAML.
-    attachments : list of (str, int)
-        Name and bytes of each.
+class McapSource(Source):
+    """One MCAP file that is open for reading; its topics have the numbers of their channels.
 
     Raises
     ------
     Damaged
         The file is cut, or its bytes are not those of an MCAP file.
     """
-
-    path: Path
-    topics: dict[int, SourceTopic] = field(default_factory=dict)
-    stated: dict[int, int] = field(default_factory=dict)
-    stated_count: int | None = None
-    metadata: str = ""
-    attachments: list[tuple[str, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._schemas: dict[int, tuple[str, str, str]] = {}
@@ -113,7 +89,7 @@ class McapSource:
 
     @property
     def first(self) -> int:
-        """Earliest time that the parts claim."""
+        """Return the earliest time that the parts claim, ns: the file has no message before it."""
         return min((p.first for p in self._parts), default=LATEST)
 
     @property
@@ -122,7 +98,13 @@ class McapSource:
         return max((p.last for p in self._parts), default=0)
 
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
-        """Yield blocks, each with its place in the file and the time before which no further message follows."""
+        """Yield blocks, each with its place in the file and the time before which no further message follows.
+
+        Parameters
+        ----------
+        start : int
+            Blocks that end earlier may be left out.
+        """
         parts = sorted((p for p in self._parts if p.last >= start or not start), key=lambda p: (p.first, p.start))
         for k, part in enumerate(parts):
             block = self._load(part)

@@ -28,7 +28,7 @@ from .compressed import SUFFIXES, Expanded, plain, plain_messages
 from .mcap_format import MAGIC
 from .mcap_source import McapSource
 from .metadata import Metadata, embedded, profiles, read_metadata
-from .source import Damaged, Source, SourceTopic
+from .source import Damaged, SourceTopic
 from .sqlite_source import SqliteSource
 
 # Bytes of a block, about: blocks bound the memory, and numpy needs many messages at a time to pay off.
@@ -92,7 +92,7 @@ class BagReader:
         self.topics: list[BagTopic] = []
         self.labels: list[str] = []
         self.metadata = Metadata()
-        self._sources: list[Source] = []
+        self._sources: list[McapSource | SqliteSource] = []
         self._expanded: list[Expanded] = []
         self._numbers: list[dict[int, int]] = []  # of each file: number of its topic there to that here
         self._types: dict[int, Types] = {}
@@ -185,7 +185,7 @@ class BagReader:
             f"`softrig bag repair`"
         )
 
-    def _source(self, file: Path) -> Source:
+    def _source(self, file: Path) -> McapSource | SqliteSource:
         with file.open("rb") as opened:
             head = opened.read(16)
         if head[:4] == b"\x28\xb5\x2f\xfd":

@@ -1,12 +1,10 @@
-"""Interface of a bag's storage file: its topics, its stated counts, and its messages in blocks by time."""
+"""What the readers of a bag's storage files have in common: topics, stated counts, what else is in a file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
-
-from ..content.block import Block
+from typing import Any, NamedTuple
 
 
 class Damaged(Exception):
@@ -25,32 +23,30 @@ class SourceTopic(NamedTuple):
     encoding: str = "cdr"
 
 
-class Source(Protocol):
-    """One storage file that is open for reading."""
+@dataclass
+class Source:
+    """One storage file that is open for reading.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+
+    Attributes
+    ----------
+    topics : dict of int to SourceTopic
+        By number, those that have been met so far.
+    stated : dict of int to int
+        Messages by topic as the statistics of the file claim; empty where it has none.
+    metadata : str
+        What rosbag2 left in the file: its metadata as YAML.
+    attachments : list of (str, int)
+        Name and bytes of each.
+    """
 
     path: Path
-    topics: dict[int, SourceTopic]
-    stated: dict[int, int]
-    stated_count: int | None
-    metadata: str
-    attachments: list[tuple[str, int]]
-
-    @property
-    def first(self) -> int:
-        """Bag time before which it has no message, ns."""
-
-    @property
-    def last(self) -> int:
-        """Bag time after which it has no message, ns."""
-
-    def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
-        """Yield blocks, each with its place in the file and the time before which no further message follows.
-
-        Parameters
-        ----------
-        start : int
-            Blocks that end earlier may be left out.
-        """
-
-    def close(self) -> None:
-        """Close the file."""
+    topics: dict[int, SourceTopic] = field(default_factory=dict)
+    stated: dict[int, int] = field(default_factory=dict)
+    stated_count: int | None = None
+    metadata: str = ""
+    attachments: list[tuple[str, int]] = field(default_factory=list)

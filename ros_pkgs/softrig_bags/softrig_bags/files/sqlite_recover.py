@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from .metadata import custom_data
+from .source import SourceTopic
 
 # SQLite keeps these beside a database. It creates the -shm again from the -wal, so that one is not copied.
 JOURNALS = "-wal", "-journal"
@@ -22,18 +23,6 @@ _GAP = 1 << 20
 # Bytes that a row takes at least, which bounds how many rows a file can hold.
 _SMALLEST_ROW = 8
 _TRIES = 3
-
-
-class Declared(NamedTuple):
-    """A topic as a storage file declares it, any of it empty."""
-
-    name: str
-    msgtype: str
-    text: str
-    encoding: str
-    digest: str
-    offered: str
-    wire: str
 
 
 def journals(path: Path) -> list[Path]:
@@ -64,7 +53,7 @@ class SqliteRecovery:
 
     Attributes
     ----------
-    topics : dict of int to Declared
+    topics : dict of int to SourceTopic
         By the number that the rows carry.
     custom_data : dict of str to str
         From the newest metadata in the file.
@@ -74,7 +63,7 @@ class SqliteRecovery:
 
     def __init__(self, path: Path, scratch: Path) -> None:
         self._copy = _whole_copy(path, scratch)
-        self.topics: dict[int, Declared] = {}
+        self.topics: dict[int, SourceTopic] = {}
         self.custom_data: dict[str, str] = {}
         self.lost: list[str] = []
 
@@ -88,7 +77,7 @@ class SqliteRecovery:
                 for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
                     self.custom_data = custom_data(text) or self.custom_data
             try:
-                self.topics = _topics(database)
+                self.topics = _readable_topics(database)
                 damaged = 0
                 for _, number, t, data in _rows(database, size, self.lost):
                     if number in self.topics and isinstance(t, int) and t >= 0 and isinstance(data, bytes):
@@ -102,26 +91,39 @@ class SqliteRecovery:
                 self.lost.append(f"the list of topics ({error})")
 
 
-def _topics(database: sqlite3.Connection) -> dict[int, Declared]:
-    columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
-    # Converters of bags leave NULL where they know nothing.
+def columns_of(database: sqlite3.Connection, table: str) -> set[str]:
+    """Return the names of a table's columns; empty if there is no such table."""
+    return {row[1] for row in database.execute(f"PRAGMA table_info({table})")}
+
+
+def topics_of(database: sqlite3.Connection) -> Iterator[tuple[Any, SourceTopic]]:
+    """Yield number and description of each topic as the database has them, which may be of any type if damaged."""
+    texts: dict[Any, tuple[Any, Any]] = {}
+    # Older schemas have no such table. Converters of bags leave NULL where they know nothing.
+    if columns_of(database, "message_definitions"):
+        for name, text, language in database.execute(
+            "SELECT topic_type, coalesce(encoded_message_definition, ''), coalesce(encoding, '') "
+            "FROM message_definitions ORDER BY id"
+        ):
+            texts.setdefault(name, (text, language))
+    columns = columns_of(database, "topics")
     offered = "coalesce(offered_qos_profiles, '')" if "offered_qos_profiles" in columns else "''"
     digest = "coalesce(type_description_hash, '')" if "type_description_hash" in columns else "''"
-    texts: dict[str, tuple[str, str]] = {}
-    if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
-        rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
-        texts = {row[0]: (row[1], row[2]) for row in rows if _all_text(row)}
-    return {
-        number: Declared(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles, wire)
-        for number, name, msgtype, hashed, profiles, wire in database.execute(
-            f"SELECT id, name, type, {digest}, {offered}, coalesce(serialization_format, 'cdr') FROM topics"
-        )
-        if _all_text((name, msgtype, hashed, profiles, wire))
-    }
+    for number, name, msgtype, hashed, profiles, wire in database.execute(
+        f"SELECT id, name, type, {digest}, {offered}, coalesce(serialization_format, '') FROM topics ORDER BY id"
+    ):
+        yield number, SourceTopic(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles, wire)
 
 
-def _all_text(values: Sequence[Any]) -> bool:
-    return all(isinstance(v, str) for v in values)
+def _readable_topics(database: sqlite3.Connection) -> dict[int, SourceTopic]:
+    """Return the topics whose description is text; of a damaged definition the topic remains without it."""
+    result = {}
+    for number, topic in topics_of(database):
+        if not (isinstance(topic.definition, str) and isinstance(topic.language, str)):
+            topic = topic._replace(definition="", language="")
+        if all(isinstance(text, str) for text in topic):
+            result[number] = topic
+    return result
 
 
 def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[tuple[int, Any, Any, Any]]:

@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..content.block import Block
-from .source import Damaged, SourceTopic
-from .sqlite_recover import journals
+from .source import Damaged, Source, SourceTopic
+from .sqlite_recover import columns_of, journals, topics_of
 
 # Rows that are read at a time at most, and their bytes, about: messages may be of a few bytes or of megabytes.
 ROWS, BYTES = 1 << 14, 1 << 22
@@ -24,21 +24,14 @@ _MESSAGES = "SELECT topic_id, timestamp, data FROM messages WHERE timestamp >= ?
 
 
 @dataclass
-class SqliteSource:
-    """One SQLite file that is open for reading; see `McapSource`. The file itself is never changed.
+class SqliteSource(Source):
+    """One SQLite file that is open for reading. The file itself is never changed.
 
     Raises
     ------
     Damaged
         It is no database, or not one of rosbag2.
     """
-
-    path: Path
-    topics: dict[int, SourceTopic] = field(default_factory=dict)
-    stated: dict[int, int] = field(default_factory=dict)
-    stated_count: int | None = None
-    metadata: str = ""
-    attachments: list[tuple[str, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._copy: TemporaryDirectory[str] | None = None
@@ -76,33 +69,15 @@ class SqliteSource:
     def _one(self, text: str) -> Any:
         return self._db.execute(text).fetchone()
 
-    def _columns(self, table: str) -> set[str]:
-        return {row[1] for row in self._db.execute(f"PRAGMA table_info({table})")}
-
     def _read_topics(self) -> None:
-        columns = self._columns("topics")
-        if not columns or not self._columns("messages"):
+        if not columns_of(self._db, "topics") or not columns_of(self._db, "messages"):
             raise Damaged("it has no tables of topics and messages")
-        definitions: dict[str, tuple[str, str]] = {}
-        if self._columns("message_definitions"):
-            for name, language, text in self._db.execute(
-                "SELECT topic_type, coalesce(encoding, ''), coalesce(encoded_message_definition, '') "
-                "FROM message_definitions ORDER BY id"
-            ):
-                definitions.setdefault(name, (text, language))
-        # Converters of bags leave NULL where they know nothing.
-        offered = "coalesce(offered_qos_profiles, '')" if "offered_qos_profiles" in columns else "''"
-        digest = "coalesce(type_description_hash, '')" if "type_description_hash" in columns else "''"
-        for number, name, msgtype, encoding, profiles, hashed in self._db.execute(
-            f"SELECT id, name, type, coalesce(serialization_format, ''), {offered}, {digest} FROM topics ORDER BY id"
-        ):
-            definition, language = definitions.get(msgtype, ("", ""))
-            topic = SourceTopic(name, msgtype, definition, language, hashed, profiles, encoding)
+        for number, topic in topics_of(self._db):
             if not all(isinstance(text, str) for text in topic):
-                raise Damaged(f"topic {name!r} of type {msgtype!r}"[:100] + ", expected names")
+                raise Damaged(f"topic {topic.name!r} of type {topic.msgtype!r}"[:100] + ", expected names")
             self.topics[len(self._numbers)] = topic
             self._numbers[number] = len(self._numbers)
-        if self._columns("metadata"):
+        if columns_of(self._db, "metadata"):
             for (text,) in self._db.execute("SELECT metadata FROM metadata ORDER BY id"):
                 self.metadata = str(text) or self.metadata
 
