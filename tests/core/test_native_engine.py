@@ -47,23 +47,23 @@ def ended(run: Engine, first: int = 0) -> Engine:
 
 
 def test_the_number_of_ticks_in_a_batch_follows_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice as many while a batch takes less than half of its limit, half after one above it, 1024 ticks at least."""
-    elapsed = itertools.chain([8.0, 15.99, 16.0, 32.0, 32.01, 40.0, 50.0, 50.0, 0.0], itertools.repeat(20.0))
+    """As many times more as the limit allows, 16 at most; half after a batch above it; 1024 ticks at least."""
+    elapsed = itertools.chain([8.0, 16.01, 32.0, 32.01, 40.0, 50.0, 50.0, 0.0], itertools.repeat(20.0))
     now = iter(())
     monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda: next(now)))
-    run, gos, before = going({"body": Body(), "law": Law()}, 22.0), [], 1
+    run, gos, before = going({"body": Body(), "law": Law()}, 32.0), [], 1
     run._longest = 32.0
     now = itertools.chain.from_iterable((0.0, t) for t in elapsed)
     for t in run.run():
         if t is not None and t // 1_000_000 + 1 > before:
             gos.append(t // 1_000_000 + 1 - before)
         before = t // 1_000_000 + 1
-    assert gos[:9] == [1024, 2048, 4096, 4096, 4096, 2048, 1024, 1024, 1024]
-    assert fitted._texts[0].go == 2048
+    assert gos[:8] == [1024, 4096, 4096, 4096, 2048, 1024, 1024, 1024]
+    assert fitted._texts[0].go == 16384
 
 
 def test_with_external_nodes_a_batch_takes_a_tenth_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    for alone, go in ((None, 4096), (lambda: True, 1024)):
+    for alone, go in ((None, 9216), (lambda: True, 1024)):
         now = itertools.accumulate(itertools.cycle([0.0, 0.0051]))
         monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda now=now: next(now)))
         fitted._texts.clear()

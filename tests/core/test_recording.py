@@ -10,7 +10,7 @@ import pytest
 from softrig_core import Recording, Signals, array, button, joint_state, number
 from softrig_core.wire import recording as module
 from softrig_core.wire.cdr import Layout, parse
-from softrig_core.wire.columns import Columns, Stored, spacious
+from softrig_core.wire.columns import HUGE, Columns, Stored, spacious
 from softrig_core.wire.long import is_long
 from softrig_core.wire.parameter_event import TOPIC as EVENTS, TYPE as EVENT
 from softrig_core.wire.recording import ShardTail, ShardWriter, Topic, read_shards, relative, shard_topics
@@ -225,12 +225,26 @@ def around(recording, last):
     layouts = {list(PORTS).index("rig/state"): LAYOUTS[0]}
     row, rows = recording.row(layouts), recording.rows(layouts)
     row(0, (0.0, 0.5))
-    table = spacious(3, 2)
+    table, _ = spacious([(3, 2), (5, 1)])
     table[:] = np.arange(6.0).reshape(3, 2) + 1.0
     rows(np.array([10, 20, 30]), table)
     for k, values in enumerate(last):
         row(40 + 10 * k, values)
     return table
+
+
+@pytest.mark.parametrize("counts", [(4, 3), (HUGE // 2, HUGE, 5)])
+def test_large_tables_of_answers_share_memory_that_begins_with_a_huge_page(counts):
+    tables = spacious([(count, k + 1) for k, count in enumerate(counts)])
+    for k, table in enumerate(tables):
+        table[:] = k
+        assert table.shape == (counts[k], k + 1)
+        # the free rows
+        assert table.base is not None
+        table.base[0] = table.base[-1] = -1.0
+    assert all((table == k).all() for k, table in enumerate(tables))
+    assert tables[1].ctypes.data - tables[0].ctypes.data == 8 * (counts[0] + 2)
+    assert len(counts) == 2 or (tables[0].ctypes.data - 8) % (8 * HUGE) == 0
 
 
 @pytest.mark.parametrize("last", [[], [(7.0, 7.5)], [(7.0, 7.5), (8.0, 8.5)]])

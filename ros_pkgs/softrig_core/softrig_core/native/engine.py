@@ -24,6 +24,7 @@ from .value import NotNative
 
 LONGEST = 1 << 20  # ticks that are answered in one go, at most
 ANSWERS = 1 << 24  # bytes of their answers, at most: a long run has to stay small in memory
+STEEPEST = 16  # times as many ticks as in the call before, at most, since later ticks may take longer
 GO = 0.05  # s: how long one call may last, since a run can be stopped only between two calls
 SHORT_GO = 0.005  # s: the same where messages are to be served in between
 WATCHES = "it watches what is recorded"  # why an observer is not native
@@ -182,9 +183,11 @@ class Engine:
                 # Only a call of full length measures how many ticks fit into the time that a call may take.
                 if fit and reached == until and until == k + go:
                     elapsed = time.perf_counter() - started
-                    # Half, so that a call of twice as many ticks still ends in time.
-                    if elapsed < self._longest / 2:
-                        fit.kept.go = min(max(SHORTEST, int(ANSWERS / (fit.size + 1.0))), LONGEST, go * 2)
+                    # So many times as many ticks still end in time. Few long calls write into fewer new memory pages
+                    # than many that double.
+                    growth = int(self._longest / max(elapsed, self._longest / STEEPEST))
+                    if growth > 1:
+                        fit.kept.go = min(max(SHORTEST, int(ANSWERS / (fit.size + 1.0))), LONGEST, go * growth)
                     elif elapsed > self._longest:
                         fit.kept.go = max(SHORTEST, go // 2)
                 k = reached

@@ -255,10 +255,15 @@ class Fitted:
     def begin(self, first: int, last: int) -> None:
         """Create buffers for the native answers of the ticks from `first` up to `last`."""
         self._begin = first
-        self.rows = {
-            key: Answers(spacious(count, size), np.empty((count, stamps), np.int64)) if self._typed else Answers([], [])
-            for key, count, size, stamps in self._tables_of(last)
-        }
+        tables = list(self._tables_of(last))
+        if self._typed:
+            numbers = spacious([(count, size) for _, count, size, _ in tables])
+            self.rows = {
+                key: Answers(rows, np.empty((count, stamps), np.int64))
+                for rows, (key, count, _, stamps) in zip(numbers, tables, strict=True)
+            }
+        else:
+            self.rows = {key: Answers([], []) for key, *_ in tables}
         self._name()
 
     def _tables_of(self, last: int) -> Iterator[tuple[int, int, int, int]]:
