@@ -22,6 +22,7 @@ from softrig_bringup.pack import packed
 from softrig_bringup.run import run as runs
 from softrig_bringup.verbs import pack
 from softrig_core import Recording, Run, RunError, ScenarioError, rig_of, simulate
+from softrig_core.kit.file_format import json_object
 from softrig_core.wire.parameter_event import TOPIC, TYPE, encode
 
 # the folder of results ------------------------------------------------------------------------------------------------
@@ -778,7 +779,7 @@ def test_a_bag_or_a_folder_identifies_its_run(kept, tmp_path):
         like.recall(kept / "run", unknown)
     for text, content in (("[1]", {}), ("{", {}), ('{"a": 1}', {"a": 1})):
         (tmp_path / "m.json").write_text(text)
-        assert like._content(tmp_path / "m.json") == content
+        assert json_object(tmp_path / "m.json") == content
 
 
 def test_a_topic_with_rare_external_messages_has_no_message_twice(lag):

@@ -55,9 +55,11 @@ def match_of(space, *, least=-0.25, corners=-0.125, small=True, case=True, broke
     less = scenario.having(faults={n: f.model_dump() for n, f in scenario.faults.items() if n != "noise"})
     seen = SearchResult(least, (0.5,) * 4, 7, corners, [1.0, least])
     return Outcome(
-        space, ("low", "last"), {"low": 0.2, "last": LARGE}, {"low": least, "last": None} if case else {}, seen,
-        (scenario, CHANGES) if case else None, (less, {"gain.k": 2.5}) if violated and small else None,
-        {"low": -0.01, "last": -LARGE} if violated and small else {}, 23 if violated else 0, list(broken),
+        space=space, names=("low", "last"), nominal={"low": 0.2, "last": LARGE}, content={},
+        worst={"low": least, "last": None} if case else {}, search=seen, case=(scenario, CHANGES) if case else None,
+        small=(less, {"gain.k": 2.5}) if violated and small else None,
+        small_margins={"low": -0.01, "last": -LARGE} if violated and small else {},
+        shrinking=23 if violated else 0, broken=list(broken),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from weakref import WeakSet
 
 from softrig_core import RunError, ScenarioError
 from softrig_core.guard import keep_traceback, naming, replace
-from softrig_core.kit.file_format import json_of
+from softrig_core.kit.file_format import json_object, json_of
 
 MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # for a list: a run has begun here and not ended, all that a run may write is its own; then its `once`
@@ -135,10 +135,7 @@ class ResultsFolder:
     @property
     def broke(self) -> bool:
         """Return whether the run in the folder ended with an error."""
-        try:
-            return bool(json_of((self.path / "metrics.json").read_text())["error"])
-        except (OSError, ValueError, KeyError, TypeError):
-            return False
+        return bool(json_object(self.path / "metrics.json").get("error"))
 
     def once(self, broken_off: Callable[[Iterable[Path]], Iterable[str]]) -> str:
         """Describe why results of the earlier run here cannot be made again; empty if they can.
@@ -326,8 +323,6 @@ def _inside(path: Path, file: Path) -> bool:
 
 
 def _title(path: Path) -> str:
-    try:
-        content = json_of((path / "metrics.json").read_text())
-        return f"{content['scenario']} ({content['mode']}, seed {content['seed']})"
-    except (OSError, ValueError, KeyError, TypeError):
-        return "an earlier run"
+    content = json_object(path / "metrics.json")
+    known = content.keys() >= {"scenario", "mode", "seed"}
+    return f"{content['scenario']} ({content['mode']}, seed {content['seed']})" if known else "an earlier run"

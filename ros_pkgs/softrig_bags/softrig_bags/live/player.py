@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain, groupby, islice
 from operator import itemgetter
 from typing import Any
@@ -101,22 +102,11 @@ class Pauser:
         self.steps = 0
         self._on_change = on_change
         for name in ("pause", "resume", "step"):
-            session.node.create_service(Trigger, f"~/{name}", getattr(self, f"_{name}"))
+            session.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
 
-    def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.paused = True
-        return self._done(response)
-
-    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.paused, self.steps = False, 0
-        return self._done(response)
-
-    def _step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.paused = True
-        self.steps += 1
-        return self._done(response)
-
-    def _done(self, response: Trigger.Response) -> Trigger.Response:
+    def _serve(self, name: str, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.paused = name != "resume"
+        self.steps = self.steps + (name == "step") if self.paused else 0
         response.success = True
         self._on_change()
         return response

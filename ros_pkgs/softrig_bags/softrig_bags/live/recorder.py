@@ -225,30 +225,22 @@ class Recorder:
     def _receiver(self, topic: BagTopic) -> Callable[[bytes], None]:
         write, number, now = self._writer.write, self._numbers[topic.name, topic.msgtype], time.time_ns
         join = self._joins.setdefault((topic.name, topic.msgtype), Join(topic))
-        if not self._stamped:
+        arrival, has_stamp = not self._stamped, is_stamped(topic)
 
-            def by_arrival(data: bytes) -> None:
-                write(number, now(), data)
-                if join.open:
-                    join.inspect(data)
-
-            return by_arrival
-
-        def by_stamp(data: bytes) -> None:
-            # A bag cannot hold a negative time, but a message with a bad stamp must not end the recording.
-            t = max(stamp(data), 0)
-            self._newest = max(self._newest, t)
+        def receive(data: bytes) -> None:
+            if arrival:
+                t = now()
+            elif has_stamp:
+                # A bag cannot hold a negative time, but a message with a bad stamp must not end the recording.
+                t = max(stamp(data), 0)
+                self._newest = max(self._newest, t)
+            else:  # a topic without a header: the newest stamp is the tick at which it was sent
+                t = self._newest
             write(number, t, data)
             if join.open:
                 join.inspect(data)
 
-        # A topic without a header has no time of its own; the newest stamp is the tick at which it was sent.
-        def by_newest(data: bytes) -> None:
-            write(number, self._newest, data)
-            if join.open:
-                join.inspect(data)
-
-        return by_stamp if is_stamped(topic) else by_newest
+        return receive
 
     def _flush(self) -> None:
         self._writer.flush()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from softrig_core import Scenario, ScenarioError, figures_of, load_scenario, rig_of
 from softrig_core.errors import closest
@@ -29,25 +29,17 @@ SHRINKING = 100  # runs that a violation is made small with
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """The result of a falsification.
+class Prepared:
+    """A falsification with checked input.
 
     Parameters
     ----------
     names : tuple of str
         The requirements.
-    nominal, worst : dict of str to float or None
-        Margins of the run without changes, and of the worst run.
-    search : SearchResult
-        The search result; with several requirements, each margin is divided by its magnitude in the nominal run.
-    case : Case, optional
-        The worst run; None when no run could be measured.
-    small : Case, optional
-        The violation after it was reduced to smaller changes; None if there is no violation.
-    shrinking : int
-        Number of runs that the reduction needed.
-    broken : list of (dict, str)
-        Changes of each run that failed, and the reason of the failure.
+    nominal : dict of str to float or None
+        Their margins without changes.
+    content : dict
+        Everything that distinguishes it from other falsifications.
     published : tuple of str
         Those of `names` whose bounds apply to the unchanged machine.
     not_judged : tuple of str
@@ -59,6 +51,32 @@ class Outcome:
     space: Space
     names: tuple[str, ...]
     nominal: dict[str, float | None]
+    content: dict[str, Any]
+    published: tuple[str, ...] = ()
+    not_judged: tuple[str, ...] = ()
+    machine: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome(Prepared):
+    """The result of a falsification.
+
+    Parameters
+    ----------
+    worst : dict of str to float or None
+        Margins of the worst run.
+    search : SearchResult
+        The search result; with several requirements, each margin is divided by its magnitude in the nominal run.
+    case : Case, optional
+        The worst run; None when no run could be measured.
+    small : Case, optional
+        The violation after it was reduced to smaller changes; None if there is no violation.
+    shrinking : int
+        Number of runs that the reduction needed.
+    broken : list of (dict, str)
+        Changes of each run that failed, and the reason of the failure.
+    """
+
     worst: dict[str, float | None]
     search: SearchResult
     case: Case | None
@@ -66,9 +84,6 @@ class Outcome:
     small_margins: dict[str, float | None]
     shrinking: int
     broken: list[tuple[dict[str, Any], str]]
-    published: tuple[str, ...] = ()
-    not_judged: tuple[str, ...] = ()
-    machine: str = ""
 
     @property
     def violated(self) -> list[str]:
@@ -80,30 +95,6 @@ class Outcome:
         """Describe which bounds are published for the unchanged machine: those that were requested, and the others."""
         messages = {"asked by name": self.published, "not judged": self.not_judged}
         return [f"{how}: {', '.join(names)}, published for {self.machine}" for how, names in messages.items() if names]
-
-
-class Prepared(NamedTuple):
-    """A falsification with checked input.
-
-    Parameters
-    ----------
-    names : tuple of str
-        The requirements.
-    nominal : dict of str to float or None
-        Their margins without changes.
-    content : dict
-        Everything that distinguishes it from other falsifications.
-    published, not_judged, machine
-        See `Outcome`.
-    """
-
-    space: Space
-    names: tuple[str, ...]
-    nominal: dict[str, float | None]
-    content: dict[str, Any]
-    published: tuple[str, ...] = ()
-    not_judged: tuple[str, ...] = ()
-    machine: str = ""
 
 
 def prepare(task: Falsification) -> Prepared:
@@ -162,9 +153,9 @@ def falsify(
     ScenarioError
         The folder holds another falsification.
     """
-    space, names, nominal, content, unjudged, left, machine = prepared
-    replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))
-    sizes = _sizes(nominal)
+    space, names = prepared.space, prepared.names
+    replace(out / "falsification.json", same(prepared.content, out / "falsification.json", "falsification"))
+    sizes = _sizes(prepared.nominal)
     asked: list[Point] = []
     rows: list[dict[str, Any]] = []
     with Batch(task.name, Log(out / "rows.jsonl", task.budget), workers, scheduler) as batch:
@@ -199,9 +190,15 @@ def falsify(
         violated = tuple(n for n, m in worst["figures"].items() if m is not None and m < 0.0)
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
         small_margins = run(trial(*small, names, runs=SHRINKING))["figures"]
-    margins = worst["figures"] if worst is not None else {}
     return Outcome(
-        space, names, nominal, margins, match, case, small, small_margins, runs, broken, unjudged, left, machine
+        **vars(prepared),
+        worst=worst["figures"] if worst is not None else {},
+        search=match,
+        case=case,
+        small=small,
+        small_margins=small_margins,
+        shrinking=runs,
+        broken=broken,
     )
 
 

@@ -19,7 +19,7 @@ from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, loa
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
 from softrig_core.errors import nearby
-from softrig_core.kit.file_format import json_of
+from softrig_core.kit.file_format import json_object, json_of
 from softrig_core.rig.code import LETTERS, is_ours
 from softrig_core.rig.members import Member
 from softrig_core.timebase import SECOND
@@ -118,7 +118,7 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
     try:
         with BagReader(bag) as reader:
             data = reader.custom_data
-        content = _content(bag.absolute().parent / METRICS)
+        content = json_object(bag.absolute().parent / METRICS)
         # A run that continued another one was begun by the command of that one.
         begun = json_of(data.get("from", "{}")).get("command", "")
         command = shlex.split(begun or data.get("command", "") or str(content["command"]))
@@ -159,15 +159,6 @@ def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> R
         data = reader.custom_data
     late, epoch = json_of(data.get("late", "{}")), int(data.get("epoch", "0"))
     return Recalled(path, options, bag, read_bag(bag), epoch, late, made_with, bag_metadata=data)
-
-
-def _content(metrics: Path) -> Mapping[str, Any]:
-    """Read the metrics.json beside a bag, if there is one."""
-    try:
-        content = json_of(metrics.read_text())
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:

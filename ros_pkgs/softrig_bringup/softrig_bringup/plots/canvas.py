@@ -470,15 +470,8 @@ class Axes:
         along = self.x if axis == "x" else self.y
         if results:  # as matplotlib: the limits reach to each tick
             low, high = along.limits()
-            along.fixed = (
-                along.fixed
-                if along.fixed is None and low <= min(results) and max(results) <= high
-                else (
-                    (min(low, *results), max(high, *results))
-                    if along.fixed or min(results) < low or max(results) > high
-                    else None
-                )
-            )
+            if along.fixed or min(results) < low or max(results) > high:
+                along.fixed = min(low, *results), max(high, *results)
 
     @recorded
     def whole_numbers(self) -> None:

@@ -13,7 +13,7 @@ from softrig_bags.read import BagSignals, signals
 from softrig_bags.tape import written
 from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.port import CLOCK, XYZ
-from softrig_core.kit.file_format import json_of
+from softrig_core.kit.file_format import json_object, json_of
 from softrig_core.rig.code import is_ours
 from softrig_core.rig.members import other_names
 from softrig_core.rig.rig import members_of
@@ -155,11 +155,8 @@ def recorded_rig(scenario: Scenario, bag: Path, result: BagSignals, apart: Colle
 
 
 def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
-    try:
-        result = json_of((folder / METRICS).read_text()).get("signals", {})
-        return {k: v for k, v in result.items() if isinstance(v, Mapping)}
-    except (OSError, ValueError, AttributeError):
-        return {}
+    result = json_object(folder / METRICS).get("signals")
+    return {k: v for k, v in result.items() if isinstance(v, Mapping)} if isinstance(result, Mapping) else {}
 
 
 def _ports(

@@ -28,46 +28,38 @@ def numbers(view: LinearView) -> dict[str, Any]:
         "variation": view.state_error, "heard": dict(view.output_errors),
         "left_out": dict(view.left_out), "stable": view.stable, "values": dict(view.values), "units": dict(view.units),
         "closed": {"states": list(view.states), "inputs": list(view.inputs), "outputs": list(view.outputs),
-                   "A": view.A.tolist(), "B": view.B.tolist(), "C": view.C.tolist(), "D": view.D.tolist()},
+                   **_matrices(view)},
         "modes": [{"pole": [m.pole.real, m.pole.imag], "rate": [m.rate.real, m.rate.imag], "states": m.shares}
                   for m in view.modes],
     }  # fmt: skip
     if view.link:
-        system = view.opened
+        states, poles = list(view.opened.state_labels), [[p.real, p.imag] for p in view.loop_poles.tolist()]
         margins = {k: v if math.isfinite(v) else None for k, v in view.margins._asdict().items()}
-        result |= {
-            "link": view.link,
-            "margins": margins,
-            "opened": {
-                "states": list(system.state_labels),
-                "A": system.A.tolist(),
-                "B": system.B.tolist(),
-                "C": system.C.tolist(),
-                "D": system.D.tolist(),
-                "poles": [[p.real, p.imag] for p in view.loop_poles.tolist()],
-            },
-        }
+        opened = {"states": states} | _matrices(view.opened) | {"poles": poles}
+        result |= {"link": view.link, "margins": margins, "opened": opened}
     return result
+
+
+def _matrices(system: Any) -> dict[str, list[Any]]:
+    return {name: getattr(system, name).tolist() for name in "ABCD"}
 
 
 def along_numbers(view: LinearAlong) -> dict[str, Any]:
     """Return a view along a run as plain data: a matrix of each kind for each period."""
     about = {"scenario": view.rig, "at_s": view.at, "period_s": view.period, "variation": view.state_error}
     names = {"states": list(view.states), "inputs": list(view.inputs), "outputs": list(view.outputs)}
-    matrices = {name: getattr(view, name).tolist() for name in "ABCD"}
-    return about | {"heard": view.output_errors} | names | matrices
+    return about | {"heard": view.output_errors} | names | _matrices(view)
+
+
+def _asked(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what both verbs ask of an analysis."""
+    overrides = settings(options.set, options.scenario)
+    return {"at": options.at, "outputs": options.output, "overrides": overrides}
 
 
 def _print_along(options: argparse.Namespace) -> int:
     """Print how far a view along a run is from it; with ``--out``, write its matrices."""
-    view = linear_along(
-        options.scenario,
-        options.along,
-        at=options.at,
-        inputs=options.input,
-        outputs=options.output,
-        overrides=settings(options.set, options.scenario),
-    )
+    view = linear_along(options.scenario, options.along, inputs=options.input, **_asked(options))
     out = console()
     out.print(f"{view.rig}, {len(view.A)} periods of {view.period:g} s from {view.at:.6g} s: {len(view.states)} states")
     out.print(f"  {'states':20} {view.state_error:.1e} from the rig itself, moved a little off", markup=False)
@@ -86,14 +78,7 @@ def linearise(options: argparse.Namespace) -> int:
         if options.open:
             raise ScenarioError("--along gives the matrices of the whole rig: expected no --open beside it")
         return _print_along(options)
-    view = linear_view(
-        options.scenario,
-        options.open,
-        at=options.at,
-        inputs=options.input,
-        outputs=options.output,
-        overrides=settings(options.set, options.scenario),
-    )
+    view = linear_view(options.scenario, options.open, inputs=options.input, **_asked(options))
     out = console()
     out.print(f"{view.rig}, t = {view.at:.6g} s: {len(view.states)} states, period {view.period:g} s")
     rows = [("poles (in z)", "1/s")] if view.modes else []
@@ -148,9 +133,7 @@ def _states(shares: dict[str, float]) -> str:
 def print_steady(options: argparse.Namespace) -> int:
     """Print an operating point; status 1 if there is none."""
     try:
-        point = steady(
-            options.scenario, at=options.at, outputs=options.output, overrides=settings(options.set, options.scenario)
-        )
+        point = steady(options.scenario, **_asked(options))
     except NoOperatingPoint as error:
         print(f"softrig: {error}", file=sys.stderr)
         return 1

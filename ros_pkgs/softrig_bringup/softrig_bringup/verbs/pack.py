@@ -23,7 +23,7 @@ from softrig_core.block.params import flatten
 from softrig_core.board import SIMULATORS
 from softrig_core.guard import naming, print_line
 from softrig_core.judge import registry
-from softrig_core.kit.file_format import json_of
+from softrig_core.kit.file_format import json_object, json_of
 from softrig_core.rig.code import fingerprints, is_ours
 from softrig_core.scenario.yaml_file import write_yaml
 
@@ -68,41 +68,37 @@ _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_module
 
 
 class _Pack(NamedTuple):
-    """Parts of a pack: files by place, its description, missing packages, and whether nodes run C or boards."""
+    """Parts of a pack: files by place, its description, and whether nodes run C or boards."""
 
     files: Mapping[str, bytes | Path]
     about: About
-    lacks: tuple[str, ...]
     natives: bool = False
+
+    @property
+    def lacks(self) -> list[str]:
+        """Return the packages whose sources are not in it."""
+        return [name for name in self.about.packages if name not in self.about.offers]
 
 
 def main(options: argparse.Namespace) -> int:
     """Write the file and print its contents; return the exit status."""
-    if (options.run / "study.json").is_file():
-        return _pack_study(options)
+    verb = "study" if (options.run / "study.json").is_file() else "run"
     with TemporaryDirectory(prefix="softrig_pack_") as aside:
-        packed = collect(options.run, Path(aside), bag=not options.no_bag)
-        out = _written(packed, options)
+        if verb == "study":
+            packed, rows = collect_study(options.run)
+            contents = [f"{rows} row{'s' * (rows != 1)}"]
+        else:
+            packed = collect(options.run, Path(aside), bag=not options.no_bag)
+            digests = f"digests of {len(packed.about.digests)} topics in place of its bag"
+            contents = [packed.about.scenario, digests if options.no_bag else "its bag"]
+        out = _written(packed, options, ".study" if verb == "study" else "")
     code = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
-    bag = "its bag" if not options.no_bag else f"digests of {len(packed.about.digests)} topics in place of its bag"
-    print(
-        f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([packed.about.scenario, bag, *code])}; elsewhere:"
-    )
-    print(f"  scripts/softrig run --like {out.name}{' --trust' if code or packed.natives else ''}")
+    print(f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([*contents, *code])}; elsewhere:")
+    print(f"  scripts/softrig {verb} --like {out.name}{' --trust' if code or packed.natives else ''}")
     return _signed(packed, out, options)
 
 
-def _pack_study(options: argparse.Namespace) -> int:
-    packed, rows = collect_study(options.run)
-    out = _written(packed, options, ".study")
-    code = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
-    contents = ", ".join([f"{rows} row{'s' * (rows != 1)}", *code])
-    print(f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {contents}; elsewhere:")
-    print(f"  scripts/softrig study --like {out.name}{' --trust' if code else ''}")
-    return _signed(packed, out, options)
-
-
-def _written(packed: _Pack, options: argparse.Namespace, kind: str = "") -> Path:
+def _written(packed: _Pack, options: argparse.Namespace, kind: str) -> Path:
     """Write the requested file, named after the scenario if no name is given."""
     out: Path = options.out or Path(packed.about.scenario + kind + SUFFIX)
     if out.is_dir():
@@ -150,7 +146,7 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
     files |= {f"{STUDY}/{path.name}": path for path in table}
     packages, sources = _packages(content["code"])
     message = About(scenario=alone.scenario, versions=versions(), code=content["code"], **packages)
-    return _Pack(files | sources, message, _lacks(message)), len(rows)
+    return _Pack(files | sources, message), len(rows)
 
 
 def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
@@ -176,7 +172,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
             f"{run}: it brings {', '.join(names)}, which packing would execute; send the original file instead"
         )
     before = recall(run, Again().parse_args)
-    content = _known_of_run(before.bag)
+    content = json_object((before.bag.parent if before.bag.is_file() else before.bag).parent / METRICS)
     scenario = scenario_of(before.options)
     scenario = scenario.having(nodes={name: entry for name, entry in scenario.nodes.items() if name != TAPE})
     rig = rig_of(scenario)
@@ -215,7 +211,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
         bag_path = _retold(before, aside, command) or before.bag
         bag_files = [bag_path] if bag_path.is_file() else sorted(f for f in bag_path.iterdir() if f.is_file())
         files |= {f"{BAG}/{file.name}": file for file in bag_files}
-    return _Pack(files | sources, message, _lacks(message), runs_code(scenario))
+    return _Pack(files | sources, message, runs_code(scenario))
 
 
 def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Path]]:
@@ -230,10 +226,6 @@ def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Pa
         "offers": {name: _offers(name) for name in foreign if sources[name]},
     }
     return messages, files
-
-
-def _lacks(text: About) -> tuple[str, ...]:
-    return tuple(name for name in text.packages if name not in text.offers)
 
 
 def _elsewhere(content: Mapping[str, Any], command: Mapping[str, str]) -> dict[str, Any]:
@@ -323,15 +315,6 @@ def _offers(package: str) -> dict[str, dict[str, str]]:
         if point.group in GROUPS:
             result.setdefault(point.group, {})[point.name] = point.value
     return result
-
-
-def _known_of_run(bag: Path) -> dict[str, Any]:
-    """Read the facts about a run beside its bag, or beside the run of a pack."""
-    try:
-        content = json_of(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:

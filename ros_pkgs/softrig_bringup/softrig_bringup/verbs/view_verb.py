@@ -7,7 +7,7 @@ from pathlib import Path
 
 from softrig_bags.files.compressed import SUFFIXES, plain
 from softrig_core.extras import need
-from softrig_core.kit.file_format import json_of
+from softrig_core.kit.file_format import json_object
 from softrig_nodes.processes.stopping import stoppable
 
 from ..pack.packed import is_pack
@@ -31,10 +31,7 @@ def _recorded(path: Path, address: str, namespace: str) -> int:
 
     rig, signals = rig_of_run(path, namespace)
     directory = path if (path / "metrics.json").is_file() else path.absolute().parent
-    try:
-        content = json_of((directory / "metrics.json").read_text())
-    except (OSError, ValueError):  # a bag by itself
-        content = {}
+    content = json_object(directory / "metrics.json")  # empty: a bag by itself
     how = str(content.get("mode", "bag"))
     with stoppable():
         try:

@@ -133,6 +133,10 @@ class Page:
     def _div(self, name: str, visible: bool = True) -> Div:
         return Div(name=name, visible=visible, sizing_mode="stretch_width", stylesheets=[self._sheet])
 
+    def _slide(self, name: str, low: float, high: float, value: float, **how: Any) -> Slider:
+        ends: dict[str, Any] = {"start": low, "end": high, "step": (high - low) / 1000, "value": value}
+        return Slider(name=name, stylesheets=[self._sheet], sizing_mode="stretch_width", **ends | how)
+
     def _button(self, label: str, call: Callable[[], object], name: str = "", width: int | None = 90) -> Button:
         result = Button(label=label, name=name or label, stylesheets=[self._sheet], width=width)
         result.on_click(call)
@@ -175,36 +179,16 @@ class Page:
     def _recorded(self) -> Any:
         """Create a time cursor, and the widget that moves it."""
         end = max(self._source.end, 1e-9)
-        self._slider = Slider(
-            start=0.0,
-            end=end,
-            value=0.0,
-            step=end / 1000,
-            title="t, s",
-            stylesheets=[self._sheet],
-            name="cursor",
-            format="0.000000",
-            sizing_mode="stretch_width",
-        )
+        self._slider = self._slide("cursor", 0.0, end, 0.0, title="t, s", format="0.000000")
         self._slider.on_change("value", lambda attr, old, new: self._point())
         self._play = Toggle(label="play", width=90, stylesheets=[self._sheet], name="play", align="end")
         return row(self._slider, self._play, sizing_mode="stretch_width")
 
     def _backwards(self) -> Any:
         """Create the widgets to go back to a time, typed or moved to, with its line in the pictures."""
-        about: dict[str, Any] = {"stylesheets": [self._sheet], "align": "end"}
-        end = self._source.length
-        self._to = TextInput(title="t, s", value="0", width=90, name="back to", **about)
-        self._along = Slider(
-            start=0.0,
-            end=end,
-            value=0.0,
-            step=end / 1000,
-            show_value=False,
-            name="back to slider",
-            sizing_mode="stretch_width",
-            **about,
-        )
+        sheet = [self._sheet]
+        self._to = TextInput(title="t, s", value="0", width=90, name="back to", stylesheets=sheet, align="end")
+        self._along = self._slide("back to slider", 0.0, self._source.length, 0.0, show_value=False, align="end")
         self._along.on_change("value", lambda attr, old, new: self._calm or self._to.update(value=f"{new:.6g}"))
         self._to.on_change("value", lambda attr, old, new: self._aim())
         button = self._button("go back", self._go_back)
@@ -257,16 +241,7 @@ class Page:
     def _slider_of(self, knob: Knob, low: float, high: float) -> Slider:
         """Return the slider of a number; its value counts when it is released."""
         step = max(1, round((high - low) / 1000)) if knob.kind is int else (high - low) / 1000
-        result = Slider(
-            start=low,
-            end=high,
-            value=knob.value,
-            step=step,
-            show_value=False,
-            name=f"{knob.key} slider",
-            stylesheets=[self._sheet],
-            sizing_mode="stretch_width",
-        )
+        result = self._slide(f"{knob.key} slider", low, high, knob.value, step=step, show_value=False)
         result.on_change("value_throttled", lambda attr, old, new: self._turned(knob, knob.kind(new)))
         return result
 

@@ -6,6 +6,7 @@ import json
 import math
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from ..errors import ScenarioError, closest
@@ -27,6 +28,15 @@ def json_of(text: str | bytes) -> Any:
         return json.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+
+
+def json_object(file: Path) -> dict[str, Any]:
+    """Return the object in a JSON file; empty if the file does not exist or has anything else in it."""
+    try:
+        content = json_of(file.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of each command's start

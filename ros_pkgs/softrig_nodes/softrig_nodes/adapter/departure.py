@@ -88,27 +88,21 @@ class Departure(Reader):
 
     def receive(self, data: bytes) -> None:
         """Receive a message of the starter, or on the starter a message of another node."""
-        (self._receive_ready if self.is_starter else self._receive_start)(data)
-
-    def _receive_ready(self, data: bytes) -> None:
-        try:
-            _, names = self._read(data)
-        except Refused as error:
-            self._node.account.refuse(self._input, str(error))
-            return
-        self._silent -= names
-        # A node that still reports that it is ready has missed the start time, or was started again.
-        if self._epoch:
-            self._announce_start()
-
-    def _receive_start(self, data: bytes) -> None:
         try:
             epoch, words = self._read(data)
         except Refused as error:
             self._node.account.refuse(self._input, str(error))
             return
-        if epoch <= 0:
-            return
+        if self.is_starter:
+            self._silent -= words
+            # A node that still reports that it is ready has missed the start time, or was started again.
+            if self._epoch:
+                self._announce_start()
+        elif epoch > 0:
+            self._follow(epoch, words)
+
+    def _follow(self, epoch: int, words: Set[str]) -> None:
+        """Begin at the time that the starter has set."""
         if not self._epoch:
             self._timer.cancel()
             self._epoch = epoch
