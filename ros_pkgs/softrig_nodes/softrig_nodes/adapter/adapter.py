@@ -129,17 +129,7 @@ class Adapter:
         ends = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
         # In real time nodes follow the wall clock, so no node publishes /clock.
         owns_clock = self.links.owns_clock and options.mode == "lockstep"
-        self.record = Record(
-            ends,
-            inputs,
-            self.step.plain,
-            owns_clock,
-            self.links,
-            options,
-            middleware.resolve,
-            self.of_rig,
-            sink,
-        )
+        self.record = Record(self, ends, owns_clock, sink)
         self.overheard = OverheardTopics(self, self.record.overheard)
         self.outgoing = Outgoing(self, ends, owns_clock)
         self.buttons = Buttons(self.values, self._record_press)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from softrig_core.block.port import CLOCK, Port
-from softrig_core.rig.options import Links, RunOptions
+from softrig_core.block.port import CLOCK
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.parameter_event import encode
 from softrig_core.wire.recording import ShardWriter, Sink, relative
 
 from ..seam.endpoint import Output
+
+if TYPE_CHECKING:
+    from .adapter import Adapter
 
 CLOCK_LAYOUT = Layout(CLOCK.msgtype)
 
@@ -22,14 +24,8 @@ class Record:
 
     Parameters
     ----------
-    plain : bool
-        Whether the node publishes on each output at each tick, at its stamp.
     owns_clock : bool
-        Whether it publishes /clock.
-    resolve : callable
-        Returns the full name of a topic of the node.
-    of_rig : callable
-        Returns the full name of a topic of the rig, which the node does not remap.
+        Whether the node publishes /clock.
     sink : Sink or None
         Gets the messages in place of the file that the options name.
 
@@ -49,18 +45,9 @@ class Record:
         Records an answer as its stamp and numbers, if the file supports that.
     """
 
-    def __init__(
-        self,
-        outputs: Sequence[Output],
-        inputs: Sequence[Port],
-        plain: bool,
-        owns_clock: bool,
-        links: Links,
-        options: RunOptions,
-        resolve: Callable[[str], str],
-        of_rig: Callable[[str], str],
-        sink: Sink | None,
-    ) -> None:
+    def __init__(self, node: Adapter, outputs: Sequence[Output], owns_clock: bool, sink: Sink | None) -> None:
+        links, options, plain = node.links, node.options, node.step.plain
+        inputs, resolve, of_rig = node.step.inputs, node.middleware.resolve, node.of_rig
         self.topics = [(relative(o.topic), o.port.msgtype) for o in outputs]
         records = links.records
         outside = [p for p in inputs if (p.name not in links.inputs if records is None else p.name in records)]

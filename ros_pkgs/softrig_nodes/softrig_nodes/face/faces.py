@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -41,32 +42,18 @@ class Faces:
             Frames(node, adapter)
         for port in adapter.step.inputs:
             if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
-                node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
+                _offer_trigger(node, port.name, partial(adapter.buttons.press, port))
         if (reference := followed(adapter)) is not None:
             _offer_following(node, adapter, reference)
         if adapter.pauses:
             for name in HOLDS:
-                node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{name}", self._holder(name))
+                _offer_trigger(node, name, partial(adapter.hold.ask, name))
             if adapter.options.mode == "lockstep" and find_spec("simulation_interfaces") is not None:
                 _offer_simulation(node, adapter)
         self._measured: Future[tuple[int, Mapping[str, tuple[float, str]]]] | None = None
         self._executor = ThreadPoolExecutor(1) if adapter.options.mode == "realtime" else None
         self._checks = 0
         adapter.middleware.timer(WATCH_PERIOD, self._check)
-
-    def _presser(self, port: Port) -> Any:
-        def press(request: Any, response: Any) -> Any:
-            response.success, response.message = self._adapter.buttons.press(port)
-            return response
-
-        return press
-
-    def _holder(self, name: str) -> Any:
-        def hold(request: Any, response: Any) -> Any:
-            response.success, response.message = self._adapter.hold.ask(name)
-            return response
-
-        return hold
 
     def _check(self) -> None:
         adapter = self._adapter
@@ -111,6 +98,16 @@ class Faces:
         figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in status.items()}
         assert self._figures is not None
         self._figures.publish(diagnostic_array(t, self._adapter.middleware.name, Level.OK, "", figures))
+
+
+def _offer_trigger(node: ServingNode, name: str, ask: Callable[[], tuple[bool, str]]) -> None:
+    """Offer a std_srvs/Trigger; `ask` returns whether it was possible, and the text of the answer."""
+
+    def answer(request: Any, response: Any) -> Any:
+        response.success, response.message = ask()
+        return response
+
+    node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{name}", answer)
 
 
 def _offer_simulation(node: ServingNode, adapter: Adapter) -> None:
