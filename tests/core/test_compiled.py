@@ -62,6 +62,24 @@ def test_failing_compiler_is_reported_with_its_message(folder, monkeypatch, tmp_
     assert list(folder.iterdir()) == []
 
 
+def test_arithmetic_is_what_the_library_computes_with_the_same_bits():
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    sums = ca.vertcat(x[1] / 3 - u, 2 * x[0] + 0.1, -x[0] * (x[1] * x[1]), 7)
+    code = Compiled(ca.Function("sums", [x, u], [sums, u * 1e-9 / (x[0] - 0.7)]))
+    assert code.arithmetic
+    for k in range(50):
+        values = 0.1 * k, 1.0 - 0.3 * k, 0.05 * k
+        known = {f"v{n}": value for n, value in enumerate(values)}
+        exec("\n".join(code.arithmetic), known)
+        assert struct.pack("5d", *(known[f"r{n}"] for n in range(5))) == struct.pack("5d", *code(values))
+
+
+def test_a_function_with_more_than_arithmetic_has_no_statements():
+    x = ca.MX.sym("x", 2)
+    assert Compiled(pendulum()).arithmetic == []
+    assert Compiled(ca.Function("product", [x], [ca.dot(x, x)])).arithmetic == []
+
+
 def test_wrong_use_is_refused():
     with pytest.raises(struct.error):
         Compiled(pendulum())((1.0, 2.0))

@@ -588,8 +588,9 @@ def test_a_run_that_breaks_reports_the_same_as_in_python(how: Any, monkeypatch: 
 
 
 def core(made: Rig) -> list[Any]:
-    """Return the steps of plant and controller after a tick."""
-    steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if m.name != "watcher"})
+    """Return the steps of plants and controllers after a tick."""
+    blocks = {m.name: m.block(1) for m in made.members}
+    steps = inprocess.wired(made, {name: b for name, b in blocks.items() if not isinstance(b, Observer)})
     result = list(steps.values())
     next(iter(Loop(result).run()))
     return result
@@ -604,18 +605,18 @@ def test_variants_share_a_text_and_other_rigs_do_not() -> None:
     assert program.differs(other)
 
 
+@pytest.mark.parametrize(("name", "called"), [("induction_dtc", 0), ("manipulator_adsmc", 1)])
+def test_the_text_contains_what_a_casadi_function_of_arithmetic_computes(name: str, called: int) -> None:
+    text = rig_text(core(rig_of(name)), [])
+    assert [len(text.program.scratches) > 0, "ctypes" in text.text] == [called, called]
+    assert "ctypes" in rig_text(core(rig_of(name)), [], typed=False).text  # Python calls both
+
+
 def test_other_equations_make_another_text() -> None:
-    """Their constants are in the C code."""
-
-    def blocks(name: str) -> list[Any]:
-        made = rig_of(name)
-        steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if "evaluator" not in m.name})
-        next(iter(Loop(list(steps.values())).run()))
-        return list(steps.values())
-
-    program = rig_text(blocks("optimal_control_mvim_a4"), []).program
-    assert program.differs([s.block for s in blocks("optimal_control_mvim_a4")]) == ""
-    assert program.differs([s.block for s in blocks("optimal_control_mvim_a4_inertia")])
+    """Their constants are in the text, or in the C code that it calls."""
+    program = rig_text(core(rig_of("optimal_control_mvim_a4")), []).program
+    assert program.differs([s.block for s in core(rig_of("optimal_control_mvim_a4"))]) == ""
+    assert program.differs([s.block for s in core(rig_of("optimal_control_mvim_a4_inertia"))])
 
 
 class Texts(Pusher):

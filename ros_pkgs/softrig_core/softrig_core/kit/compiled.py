@@ -12,6 +12,7 @@ import ctypes
 import errno
 import hashlib
 import os
+import re
 import shutil
 import stat
 import struct
@@ -21,6 +22,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property, lru_cache
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +33,11 @@ if TYPE_CHECKING:
 
 # No contraction into fused multiply-adds: the numbers must not depend on the processor.
 FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
+# In casadi's C: a line that loads an input, one that computes a number, a square, and a line that stores a result.
+LOADS = re.compile(r"(a\d+)=arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0;")
+COMPUTES = re.compile(r"a\d+=(?:a\d+|\d+\.\d*(?:e[-+]?\d+)?|[-+*/()])+;")
+SQUARES = re.compile(r"casadi_sq\((a\d+)\)")
+STORES = re.compile(r"if \(res\[(\d+)\]!=0\) res\[\d+\]\[(\d+)\]=(a\d+);")
 # TMPDIR may differ between the processes of a user, but they must find the same locks.
 TEMPORARY = Path("/tmp")
 
@@ -162,6 +169,29 @@ class Compiled:
         f = self._function
         inputs, outputs = [f.nnz_in(k) for k in range(f.n_in())], [f.nnz_out(k) for k in range(f.n_out())]
         return inputs, outputs, f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()
+
+    @cached_property
+    def arithmetic(self) -> list[str]:
+        """Return `source` as statements of Python that compute results r0, r1, ... from inputs v0, v1, ...
+
+        The operations and their order are those of C, so the bits are, too. The list is empty if the source has
+        anything but sums, differences, products and quotients.
+        """
+        # The source consists of one operation a line if the function is one of scalars.
+        inputs, outputs = ([0, *accumulate(sizes)] for sizes in self.sizes[:2])
+        body = self.source.partition("static int casadi_f0(")[2].partition(" {\n")[2].partition("  return 0;\n")[0]
+        result = []
+        for line in map(str.strip, SQUARES.sub(r"(\1*\1)", body).splitlines()):
+            if loads := LOADS.fullmatch(line):
+                # A call converts whole numbers, too.
+                result.append(f"{loads[1]} = float(v{inputs[int(loads[2])] + int(loads[3])})")
+            elif stores := STORES.fullmatch(line):
+                result.append(f"r{outputs[int(stores[1])] + int(stores[2])} = {stores[3]}")
+            elif COMPUTES.fullmatch(line):
+                result.append(line.rstrip(";"))
+            elif not line.startswith("casadi_real a"):
+                return []
+        return result
 
     def scratch(self) -> NDArray[np.float64]:
         """Return memory for calls from native code: inputs, outputs, then the parts of `places` with addresses set."""

@@ -499,11 +499,11 @@ class Calls(Expressions):
         if len(args) != 1 or called.symbol is None or function.path is None:
             raise self.unknown("a casadi function that is not compiled", node)
         values = [self.dynamic(v) for v in self.parts(args[0], node)]
-        name = self.program.scratch(function.path)
-        self.arrays.add(name)
+        name, memory = self.program.caller(called, function.path)
+        self.arrays.update(memory)
         results = computed(called, tuple(v.sample for v in values))
         sample = (0.0,) * called.n_out if results is UNKNOWN else results
-        code = f"{self.program.caller(called)}({', '.join([name, *(v.code for v in values)])})"
+        code = f"{name}({', '.join([*memory, *(v.code for v in values)])})"
         return Dynamic(code, sample)
 
     def _over(self, function: Any, values: Sequence[Value], node: ast.AST) -> Value:

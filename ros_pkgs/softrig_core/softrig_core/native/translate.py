@@ -166,23 +166,34 @@ class Program:
         """Return the name of the memory in which a compiled casadi function works."""
         return self.scratches.setdefault(path, f"s{len(self.scratches)}")
 
-    def caller(self, compiled: Compiled) -> str:
-        """Return the name of the function that calls one."""
+    def caller(self, compiled: Compiled, path: Path) -> tuple[str, tuple[str, ...]]:
+        """Return the name of the function that computes one, and the memory that it needs, if any."""
         symbol = compiled.symbol
         assert symbol is not None
+        # A call takes a fifth of a tick of a drive, since all numbers leave their registers, so native code contains
+        # simple arithmetic itself. Python calls it, and exported code has casadi's C in a file of its own.
+        formula = compiled.arithmetic if self.typed and not self.inferred else []
+        memory = () if formula else (self.scratch(path),)
         if symbol not in self.callers:
             self.callers[symbol] = name = f"call{len(self.callers)}"
-            self.names[f"{name}_there"] = compiled
-            arguments = ", ".join(f"v{k}" for k in range(compiled.n_in))
+            arguments = [f"v{k}" for k in range(compiled.n_in)]
+            results = [f"r{k}" for k in range(compiled.n_out)]
+            if not formula:
+                self.names[f"{name}_there"] = compiled
+                results = [f"s[{compiled.n_in + k}]" for k in range(compiled.n_out)]
+                formula = [
+                    *(f"s[{k}] = {argument}" for k, argument in enumerate(arguments)),
+                    "p = s.ctypes.data",
+                    f"{name}_there({', '.join(f'p + {8 * offset}' for offset in compiled.places)}, 0)",
+                ]
+                arguments.insert(0, "s")
             lines = [
-                f"def {name}(s, {arguments}):",
-                *(f"    s[{k}] = v{k}" for k in range(compiled.n_in)),
-                "    p = s.ctypes.data",
-                f"    {name}_there({', '.join(f'p + {8 * offset}' for offset in compiled.places)}, 0)",
-                f"    return ({''.join(f's[{compiled.n_in + k}], ' for k in range(compiled.n_out))})",
+                f"def {name}({', '.join(arguments)}):",
+                *(f"    {line}" for line in formula),
+                f"    return ({''.join(f'{result}, ' for result in results)})",
             ]
             self.functions.append("\n".join(lines))
-        return self.callers[symbol]
+        return self.callers[symbol], memory
 
     def constants(self, roots: Sequence[Any]) -> tuple[Any, ...]:
         """Return the slots of blocks of the same text."""
