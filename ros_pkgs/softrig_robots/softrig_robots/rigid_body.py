@@ -194,22 +194,26 @@ class SymbolicRobot:
         yielding = ca.jacobian(self._tree_dynamics(q, v, torque, armature, payload), torque) @ K.T  # M^-1 K^T
         return free - yielding @ ca.solve(K @ yielding, K @ free)
 
-    def _tree_dynamics(self, q: ca.SX, v: ca.SX, tau: ca.SX, armature: ca.SX, payload: ca.SX) -> ca.SX:
-        """Accelerations of the tree by the articulated-body algorithm."""
+    def _motion(self, q: ca.SX, v: ca.SX, payload: ca.SX) -> tuple[list[ca.SX], ...]:
+        """Transforms from the parents, inertias, and the accelerations and forces that the velocities cause."""
         count = len(self._parents)
         x: list[ca.SX] = [ca.SX.eye(6)] * count
-        twist: list[ca.SX] = [ca.SX.zeros(6)] * count
-        drift: list[ca.SX] = [ca.SX.zeros(6)] * count
+        twist, drift, bias = ([ca.SX.zeros(6)] * count for _ in range(3))
         inertia = [ca.SX(body) for body in self._bodies]
         holder, _, offset = self._tool
         inertia[holder] = inertia[holder] + _point_inertia(payload, offset)
-        bias: list[ca.SX] = [ca.SX.zeros(6)] * count
         for i in range(1, count):
             axis = self._axes[i]
             x[i] = _motion_transform(*self._joint(i, q[i - 1]))
             twist[i] = x[i] @ twist[self._parents[i]] + axis * v[i - 1]
             drift[i] = _cross_motion(twist[i]) @ (axis * v[i - 1])
             bias[i] = _cross_force(twist[i]) @ (inertia[i] @ twist[i])
+        return x, inertia, drift, bias
+
+    def _tree_dynamics(self, q: ca.SX, v: ca.SX, tau: ca.SX, armature: ca.SX, payload: ca.SX) -> ca.SX:
+        """Accelerations of the tree by the articulated-body algorithm."""
+        x, inertia, drift, bias = self._motion(q, v, payload)
+        count = len(x)
         force: list[ca.SX] = [ca.SX(6, 1)] * count
         weight: list[ca.SX] = [ca.SX(1)] * count
         torque: list[ca.SX] = [ca.SX(1)] * count
@@ -233,22 +237,13 @@ class SymbolicRobot:
 
     def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX, armature: ca.SX, payload: ca.SX) -> ca.SX:
         """Torques for accelerations by the recursive Newton-Euler algorithm; arguments as in `forward_dynamics`."""
-        count = len(self._parents)
-        x: list[ca.SX] = [ca.SX.eye(6)] * count
-        twist: list[ca.SX] = [ca.SX.zeros(6)] * count
+        x, inertia, drift, bias = self._motion(q, v, payload)
+        count = len(x)
         acceleration: list[ca.SX] = [ca.SX(ca.vertcat(-self._gravity, ca.DM.zeros(3)))] * count
-        inertia = [ca.SX(body) for body in self._bodies]
-        holder, _, offset = self._tool
-        inertia[holder] = inertia[holder] + _point_inertia(payload, offset)
         force: list[ca.SX] = [ca.SX.zeros(6)] * count
         for i in range(1, count):
-            axis, parent = self._axes[i], self._parents[i]
-            x[i] = _motion_transform(*self._joint(i, q[i - 1]))
-            twist[i] = x[i] @ twist[parent] + axis * v[i - 1]
-            acceleration[i] = (
-                x[i] @ acceleration[parent] + axis * a[i - 1] + _cross_motion(twist[i]) @ (axis * v[i - 1])
-            )
-            force[i] = inertia[i] @ acceleration[i] + _cross_force(twist[i]) @ (inertia[i] @ twist[i])
+            acceleration[i] = x[i] @ acceleration[self._parents[i]] + self._axes[i] * a[i - 1] + drift[i]
+            force[i] = inertia[i] @ acceleration[i] + bias[i]
         torque: list[ca.SX] = [ca.SX(1)] * count
         for i in reversed(range(1, count)):
             torque[i] = self._axes[i].T @ force[i] + armature[i - 1] * a[i - 1]

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from softrig_core.drawing.base import Drawing, Quantity, Row, limited, readings, tail
 from softrig_core.drawing.shapes import Pen, Point, polar
 
-from ..stator import PHASES, SLOTS, THIRD, belt
+from ..stator import CENTRE, OUTER, PHASES, THIRD, draw_stator
 
-CENTRE = (190.0, 180.0)
-OUTER, INNER, ROTOR = 150.0, 116.0, 108.0
+ROTOR = 108.0
 BARS = 14
 
 
@@ -50,19 +49,7 @@ class InductionMotor(Drawing):
         readings(pen, (400.0, 196.0), rows, 210.0)
 
     def _machine(self, pen: Pen, row: Row) -> None:
-        pen.circle(CENTRE, OUTER, "line", "faint")
-        pen.circle(CENTRE, INNER, "line", "paper")
-        for slot in range(SLOTS):
-            # the axis of phase a points right: its conductors lie a quarter turn before and after
-            phase, side = belt(slot)
-            role = PHASES[phase][1]
-            point = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
-            current = side * limited(self.currents[phase](row) / self.rated, 1.6)
-            pen.circle(point, 11.0, "muted", "paper", 1.0)
-            pen.circle(point, 6.6 * math.sqrt(abs(current)), role, role, 0)
-            pen.text(
-                (point[0], point[1] + 4.5), "·" if current > 0 else "×" if current < 0 else "", "paper", 13.0, "middle"
-            )
+        draw_stator(pen, [limited(q(row) / self.rated, 1.6) for q in self.currents], 6.6)
         for k, (name, role) in enumerate(PHASES):
             axis = k * THIRD
             pen.line([polar(CENTRE, OUTER + 2, axis), polar(CENTRE, OUTER + 10, axis)], role, 2.0)

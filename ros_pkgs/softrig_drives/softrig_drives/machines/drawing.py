@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from softrig_core.drawing.base import Drawing, Row, limited, readings
 from softrig_core.drawing.shapes import Pen, Point, polar
 
-from ..stator import PHASES, SLOTS, belt
+from ..stator import CENTRE, PHASES, draw_stator
 
-CENTRE = (190.0, 180.0)
-OUTER, INNER, ROTOR = 150.0, 116.0, 106.0
+ROTOR = 106.0
 
 
 class MachineDrawing(Drawing):
@@ -34,9 +33,9 @@ class MachineDrawing(Drawing):
 
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
         """Stator, rotor, current vector, then the inverter and the values."""
-        self._stator(pen, row)
+        a, b, c = currents = [limited(q(row) / self.full, 1.0) for q in self.currents]
+        draw_stator(pen, currents, 10.0)
         self._rotor(pen, row)
-        a, b, c = (limited(q(row) / self.full, 1.0) for q in self.currents)
         tip = (CENTRE[0] + ROTOR * (2 * a - b - c) / 3, CENTRE[1] - ROTOR * (b - c) / math.sqrt(3.0))
         pen.arrow(CENTRE, tip, "alarm", 3.5, 14.0)
         self._inverter(pen, row)
@@ -47,19 +46,6 @@ class MachineDrawing(Drawing):
             for (name, role), q in zip(PHASES, self.currents, strict=True)
         ]
         readings(pen, (400.0, 196.0), rows, 210.0)
-
-    def _stator(self, pen: Pen, row: Row) -> None:
-        pen.circle(CENTRE, OUTER, "line", "faint")
-        pen.circle(CENTRE, INNER, "line", "paper")
-        for slot in range(SLOTS):
-            phase, side = belt(slot)
-            role = PHASES[phase][1]
-            point = polar(CENTRE, (OUTER + INNER) / 2, 2.0 * math.pi * (slot + 0.5) / SLOTS)
-            pen.circle(point, 11.0, "muted", "paper", 1.0)
-            size = abs(limited(self.currents[phase](row) / self.full, 1.0))
-            pen.circle(point, 10.0 * math.sqrt(size), role, role, 0)
-            mark = "" if size == 0.0 else "·" if side * self.currents[phase](row) > 0 else "×"
-            pen.text((point[0], point[1] + 4.5), mark, "paper", 13.0, "middle")
 
     def _rotor(self, pen: Pen, row: Row) -> None:
         turn = self.pairs * self.angle(row)

@@ -114,6 +114,13 @@ class Traffic:
 
 
 @jit
+def _move(agenda: Agenda, source: int, place: int) -> None:
+    agenda.time[place], agenda.sent[place] = agenda.time[source], agenda.sent[source]
+    agenda.kind[place], agenda.flow[place] = agenda.kind[source], agenda.flow[source]
+    agenda.marked[place] = agenda.marked[source]
+
+
+@jit
 def schedule(agenda: Agenda, counts: Ints, t: float, kind: int, flow: int, marked: int, sent: float) -> None:
     """Push an event onto the heap."""
     index = counts[EVENTS]
@@ -124,12 +131,7 @@ def schedule(agenda: Agenda, counts: Ints, t: float, kind: int, flow: int, marke
         above = (index - 1) // 2
         if agenda.time[above] <= t:
             break
-        agenda.time[index], agenda.kind[index], agenda.flow[index] = (
-            agenda.time[above],
-            agenda.kind[above],
-            agenda.flow[above],
-        )
-        agenda.marked[index], agenda.sent[index] = agenda.marked[above], agenda.sent[above]
+        _move(agenda, above, index)
         index = above
     agenda.time[index], agenda.kind[index], agenda.flow[index] = t, kind, flow
     agenda.marked[index], agenda.sent[index] = marked, sent
@@ -150,15 +152,9 @@ def remove_first(agenda: Agenda, counts: Ints) -> None:
             below += 1
         if agenda.time[below] >= t:
             break
-        agenda.time[index], agenda.kind[index], agenda.flow[index] = (
-            agenda.time[below],
-            agenda.kind[below],
-            agenda.flow[below],
-        )
-        agenda.marked[index], agenda.sent[index] = agenda.marked[below], agenda.sent[below]
+        _move(agenda, below, index)
         index = below
-    agenda.time[index], agenda.kind[index], agenda.flow[index] = t, agenda.kind[size], agenda.flow[size]
-    agenda.marked[index], agenda.sent[index] = agenda.marked[size], agenda.sent[size]
+    _move(agenda, size, index)
 
 
 @jit
