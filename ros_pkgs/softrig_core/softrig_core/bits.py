@@ -49,7 +49,6 @@ def pin(environ: MutableMapping[str, str] = os.environ, *, wider: bool | None = 
 
     Parameters
     ----------
-    environ : mapping
     wider : bool, optional
         Whether the CPU has AVX-512; detected by default.
     """

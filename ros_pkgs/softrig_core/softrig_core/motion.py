@@ -83,7 +83,6 @@ class Path:
     ----------
     goal : Goal
         With at least one point.
-    joints : int
     """
 
     def __init__(self, goal: Goal, joints: int) -> None:

@@ -45,7 +45,6 @@ def run_node(block_class: type[Any], args: Sequence[str] | None = None) -> NoRet
 
     Parameters
     ----------
-    block_class : type of Block
     args : sequence of str, optional
         Command line, the name of the executable first; that of the process when absent.
     """

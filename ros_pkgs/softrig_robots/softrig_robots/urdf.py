@@ -102,7 +102,6 @@ def robot_urdf(
 
     Parameters
     ----------
-    name : str
     links : sequence of Link
         From the base to the tip.
     tip : str

@@ -60,7 +60,6 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     ----------
     what, replace
         See `RigEnv`.
-    num_envs : int
     reward : callable
         Gets the newest values by name, arrays of shape (num_envs,); returns all rewards. It must work on arrays:
         ``numpy.maximum``, not ``max``.

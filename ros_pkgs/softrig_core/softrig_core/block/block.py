@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
+from operator import attrgetter
 from types import FrameType
 from typing import (
     TYPE_CHECKING,
@@ -120,6 +121,7 @@ class Block(Generic[P]):
     Params: ClassVar[type[BlockParams]] = BlockParams
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
+    AGREED: ClassVar[Mapping[str, str]] = {}  # for `agreed`: quantity to the parameter that is its value
     STATE: ClassVar[type[Any]] = tuple  # type of x; its defaults are the state before the first tick
     realtime = False  # set by the code that runs the block: the wall clock drives it, so nothing may wait in `update`
     DRAWN_BY: ClassVar[str] = ""  # module:class of a `softrig_core.drawing.Drawing`; empty: its `scene` is drawn
@@ -208,11 +210,13 @@ class Block(Generic[P]):
     def agreed(cls, params: Any) -> Mapping[str, Any]:
         """Return values that all nodes of a rig that name them must share: quantity (``tank/k_high``) to value.
 
+        By default these are the parameters that `AGREED` names.
+
         This applies to a plant, to the nodes that judge it (figures, monitors, certificates, proofs), and to what they
         assume about a controller. The assumptions of a controller about its plant are its own: they may differ from the
         plant, as an experiment.
         """
-        return {}
+        return {quantity: attrgetter(name)(params) for quantity, name in cls.AGREED.items()}
 
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""

@@ -44,7 +44,6 @@ class Fill(NamedTuple):
         Publishes.
     output : int
         Number of its output.
-    reader : Step
     port : Port
         The input of the reader.
     pick : tuple or None

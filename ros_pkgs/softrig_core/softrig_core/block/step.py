@@ -31,7 +31,6 @@ class Step(RunningBlock):
     ----------
     name : str
         Node name, for errors.
-    inputs, outputs : sequence of Port
     changes : iterable of Change
         Of the block's parameters, in the order of their times.
 

@@ -53,7 +53,6 @@ class CanLine(RemoteLine):
 
         Parameters
         ----------
-        messages : Messages
         build : Build
             Another one is refused.
         timeout : float

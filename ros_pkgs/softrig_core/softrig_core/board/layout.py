@@ -22,7 +22,6 @@ class Layout:
 
     Parameters
     ----------
-    inputs, outputs : tuple of Port
     settable : mapping of str to type
         Parameters that may be set on the board, in order.
     plant : bool

@@ -25,7 +25,6 @@ class Call:
 
     Parameters
     ----------
-    method : str
     t : int
         Time, ns.
     x : state

@@ -32,7 +32,6 @@ class Tuple:
 
     Parameters
     ----------
-    items : tuple of types
     names : tuple of str
         Fields of a named tuple; f0, f1, ... otherwise.
     title : str

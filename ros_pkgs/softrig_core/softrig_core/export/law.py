@@ -45,14 +45,12 @@ class Law:
 
     Attributes
     ----------
-    program : Program
     texts : mapping of str to str
         Functions by name, those of the forms among them.
     roots : mapping of Form to str
         The function of each form.
     arrays : mapping of Form to tuple of str
         Arrays that it receives in addition to time, state and inputs.
-    reports : Reports
     states : list
         Types that the state has at some time, the first one first.
     """
@@ -106,7 +104,6 @@ def law_of(
     ----------
     punctual : set of str
         Inputs whose age is 0 at each tick.
-    inputs, outputs : sequence of Port
     calls : sequence of Call
         Calls of a run; each form that occurs in them gets a text. The newest call of each form is the sample, because a
         settled state shows its types better than the first one.

@@ -49,7 +49,6 @@ def rig_files(rig: Rig, most: int, *, single: bool = False) -> tuple[Exported, d
 
     Parameters
     ----------
-    rig : Rig
     most : int
         Ticks of its run that become golden rows.
     single : bool

@@ -636,7 +636,6 @@ def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
 
     Parameters
     ----------
-    signals : mapping
     references : str
         Their names; several with a comma and a blank between.
 

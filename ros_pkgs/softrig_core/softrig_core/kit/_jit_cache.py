@@ -91,7 +91,6 @@ def teach(numba: Any, functions: type, power: Callable[[float, float], float]) -
 
     Parameters
     ----------
-    numba : module
     functions : type
         `Jit`.
     power : callable

@@ -162,7 +162,6 @@ def exponential(rows: Rows, bits: int) -> Integers:
     Parameters
     ----------
     rows : (n, n) nested sequence of Fraction
-    bits : int
 
     Raises
     ------
@@ -238,7 +237,6 @@ def recursion(a: Integers, bits: int) -> list[int]:
     Parameters
     ----------
     a : (n, n) array of int
-    bits : int
     """
     identity = np.array([[int(i == j) for j in range(len(a))] for i in range(len(a))], dtype=object)
     result, m = [1 << bits], identity << bits

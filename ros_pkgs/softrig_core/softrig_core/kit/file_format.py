@@ -64,7 +64,6 @@ class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of e
 
         Parameters
         ----------
-        names : iterable of str
         source : str
             The file, for messages.
 

@@ -145,7 +145,6 @@ def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
 
     Parameters
     ----------
-    steps : sequence of Step
     left : float
         Time that Python would need for the remaining ticks, s.
     runs : int

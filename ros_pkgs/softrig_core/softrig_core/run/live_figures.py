@@ -108,7 +108,6 @@ class Measured(RunningBlock):
 
     Parameters
     ----------
-    member : Member
     seed : int
         Rig seed.
     signals : callable

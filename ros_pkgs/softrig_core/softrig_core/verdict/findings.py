@@ -29,7 +29,6 @@ class Finding(BaseModel):
         Values that agree with the claim: the number with its tolerance, or what it is compared with.
     measured : float, optional
         None if the claim cannot be checked or the figure is not finite; `measured_text` is for people.
-    verdict : str
     holds : bool, optional
         Whether the verdict fits the measurement; None when nothing was measured for it here.
     """

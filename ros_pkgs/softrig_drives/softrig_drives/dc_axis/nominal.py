@@ -27,7 +27,6 @@ class NominalAxis:
 
     Parameters
     ----------
-    motor : MotorParams
     phi, gamma : nested tuples
         Motor sampled with its period.
     law : StateFeedback

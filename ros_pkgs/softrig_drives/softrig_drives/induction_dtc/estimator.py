@@ -43,7 +43,6 @@ class VoltageModel:
 
     Parameters
     ----------
-    p : EstimatorParams
     T_s : float
         Sampling period in s.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from softrig_core import BlockParams, Compiled, Level, Plant, param
 
@@ -73,11 +73,8 @@ class ImPlant(Plant[ImPlantParams]):
     INPUTS = (SWITCHES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS_TRUE, CURRENTS_MEAS, FLUX_TRUE, DC_LINK)
     STATE = State
-
-    @classmethod
-    def agreed(cls, params: ImPlantParams) -> Mapping[str, Any]:
-        """Return the resolution of the converters (the unit of errors) and the pole pairs."""
-        return {"induction_dtc/lsb": params.lsb, "induction_dtc/pole_pairs": params.pole_pairs}
+    # the unit of errors of the converters, and the pole pairs
+    AGREED = {"induction_dtc/lsb": "lsb", "induction_dtc/pole_pairs": "pole_pairs"}
 
     def setup(self) -> None:
         """Compile the equations, scale the voltages."""

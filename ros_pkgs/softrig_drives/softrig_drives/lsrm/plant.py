@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
@@ -63,11 +63,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
     TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent"})
     INPUTS = (PHASE_VOLTAGE, LOAD)
     OUTPUTS = (JOINT_STATES, PHASE_CURRENTS, FORCE_PHASES)
-
-    @classmethod
-    def agreed(cls, params: LsrmPlantParams) -> Mapping[str, Any]:
-        """The pole pitch, over which its force repeats."""
-        return {"lsrm/pitch": params.tau}
+    AGREED = {"lsrm/pitch": "tau"}  # over which its force repeats
 
     def latched(self) -> Mapping[str, str]:
         """Return the URDF for ros2_control: its command, a force, is that of the current controller."""
@@ -150,7 +146,6 @@ def step(
         V.
     load : tuple (2,)
         Added mass (kg) and friction (N).
-    fault : bool
     geometry, constants : array
         As `LsrmPlant.setup` lays them out.
 

@@ -239,11 +239,7 @@ class BldcPlant(Plant[BldcPlantParams]):
     INPUTS = (GATES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS, DC_LINK)
     STATE = State
-
-    @classmethod
-    def agreed(cls, params: BldcPlantParams) -> Mapping[str, Any]:
-        """Pole pairs, which sensor and controller must share."""
-        return {"machines/pole_pairs": params.pole_pairs}
+    AGREED = {"machines/pole_pairs": "pole_pairs"}
 
     def setup(self) -> None:
         """Arrange the constants."""

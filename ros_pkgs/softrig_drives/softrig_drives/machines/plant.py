@@ -85,17 +85,13 @@ class MachinePlant(Plant[P]):
     TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent", "overvoltage"})
     INPUTS = (DUTY, LOAD_TORQUE)
     MACHINE: ClassVar[Any] = synchronous  # the module with the equations
+    AGREED = {"machines/pole_pairs": "pole_pairs", "machines/period": "period"}
 
     @classmethod
     def ports(cls, params: MachineParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The second mass is an output where there is one."""
         load = (LOAD_SHAFT,) if params.J_load else ()
         return cls.INPUTS, (JOINT_STATES, CURRENTS, DC_LINK, APPLIED, *load)
-
-    @classmethod
-    def agreed(cls, params: Any) -> Mapping[str, Any]:
-        """Pole pairs and period, which a controller must share."""
-        return {"machines/pole_pairs": params.pole_pairs, "machines/period": params.period}
 
     @abstractmethod
     def constants(self) -> Array:

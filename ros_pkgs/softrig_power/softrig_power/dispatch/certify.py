@@ -79,7 +79,6 @@ class Optimiser:
 
     Parameters
     ----------
-    units : Units
     nseg : int
         Segments of a whole arch in the MILPs.
     tol : float

@@ -80,7 +80,6 @@ class Conditions:
     ----------
     low, high : ndarray, shape (n,)
         Window of each unit, MW: its limits, narrowed by its ramps.
-    losses : Losses
     reserve : float
         Spinning reserve asked for, MW.
     ready : ndarray, shape (n,)

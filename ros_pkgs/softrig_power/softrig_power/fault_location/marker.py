@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from softrig_core import BlockParams, Marker, Observer, Port, param
+from softrig_core import BlockParams, Marker, Observer, param
 
 from .ports import LOCATION, location_port
 
@@ -25,10 +25,7 @@ class LocationMarkerParams(BlockParams):
 class LocationMarker(Observer[LocationMarkerParams]):
     """Line along x from bus S in the frame ``line``, towers, a ball at the newest location; it and F as figures."""
 
-    @classmethod
-    def ports(cls, params: LocationMarkerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Only the location."""
-        return (location_port(),), ()
+    INPUTS = (location_port(),)
 
     def first(self) -> tuple[float, ...] | None:
         """Return the initial state, without a location; the state is the newest location."""

@@ -69,11 +69,8 @@ class LinePlant(Plant[LinePlantParams]):
     """
 
     DRAWN_BY = "softrig_power.fault_location.drawing:FaultedLine"
-
-    @classmethod
-    def agreed(cls, params: LinePlantParams) -> Mapping[str, Any]:
-        """Return the quantities for the comparison: the true place of the fault, and the length of the line, km."""
-        return {"fault_location/x_km": params.fault.x_km, "fault_location/length": params.line.length}
+    # for the comparison: the true place of the fault, and the length of the line, km
+    AGREED = {"fault_location/x_km": "fault.x_km", "fault_location/length": "line.length"}
 
     @classmethod
     def ports(cls, params: LinePlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

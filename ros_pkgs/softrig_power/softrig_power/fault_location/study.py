@@ -65,7 +65,6 @@ def run_case(case: Case, rig: Settings, locator: Settings) -> Row:
 
     Parameters
     ----------
-    case : Case
     rig, locator : mapping
         Further parameters of `RigParams` and `LocatorParams` under dotted names.
     """

@@ -75,7 +75,6 @@ def circuit(params: NetworkParams, step: float) -> tuple[Circuit, Lines]:
 
     Parameters
     ----------
-    params : NetworkParams
     step : float
         s.
 
@@ -137,7 +136,6 @@ def advance(
         From `circuit` and `steady.start`.
     first : int
         Number of steps taken before; step n ends at n h.
-    turning : Turning
     pulse : {0, 1}
         Waveform.
     tripped : bool

@@ -89,7 +89,6 @@ def cycles(
 
     Parameters
     ----------
-    signals : mapping
     part : {"v_sh", "v12", "u1", "i_sh"}
     cycle : float
         s.

@@ -15,7 +15,6 @@ def converter_command(name: str, topic: str, first: str, unit: str, **options: o
 
     Parameters
     ----------
-    name, topic : str
     first : {"sigma", "magnitude"}
         What sets the amplitude: conduction angle (rad) or voltage (pu).
     unit : str

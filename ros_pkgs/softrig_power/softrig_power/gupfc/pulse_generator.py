@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from softrig_core import Block, BlockParams, Level, array, param, scalars, vector3
 
@@ -52,11 +52,8 @@ class PulseGenerator(Block[PulseGeneratorParams]):
         scalars("quality", "pulses/quality", {"fundamental": "pu", "thd": "%", "thd_50": "%"}),
     )
     STATE = State
-
-    @classmethod
-    def agreed(cls, params: PulseGeneratorParams) -> Mapping[str, Any]:
-        """Return the cycle over which its figures are computed, which is also how long a command is rotated."""
-        return {"gupfc/pulses.command_period": params.command_period}
+    # the cycle over which its figures are computed, which is also how long a command is rotated
+    AGREED = {"gupfc/pulses.command_period": "command_period"}
 
     def setup(self) -> None:
         """Ticks of a command."""

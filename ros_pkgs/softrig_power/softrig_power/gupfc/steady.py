@@ -38,7 +38,6 @@ class Phasors:
 
     Parameters
     ----------
-    params : NetworkParams
     step : float
         s.
     omega : float
@@ -99,7 +98,6 @@ def start(
 
     Parameters
     ----------
-    params : NetworkParams
     circuit, lines
         From `circuit.circuit`.
     flow : Solution

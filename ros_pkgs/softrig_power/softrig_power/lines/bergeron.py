@@ -121,7 +121,6 @@ def steady_history(prepared: Lines, voltages: Complex, currents: Complex, omega:
 
     Parameters
     ----------
-    prepared : Lines
     voltages, currents : ndarray, shape (n, 2)
         Phasors at t = 0 of both ends, currents into the section.
     omega, step : float
@@ -159,7 +158,6 @@ def histories(lines: Lines, ring: Any, k: int, out: Any) -> None:
 
     Parameters
     ----------
-    lines : Lines
     ring : ndarray, shape (n, 2, length)
         Real or complex, from `steady_history` or zeros.
     k : int

@@ -153,7 +153,6 @@ def tune(
 
     Parameters
     ----------
-    seed : int
     guarded : bool
         See `search`.
     duration : float

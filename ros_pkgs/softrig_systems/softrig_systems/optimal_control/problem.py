@@ -37,7 +37,6 @@ class Problem:
 
     Parameters
     ----------
-    name : str
     states, controls : mapping of str to str
         Name to unit.
     ode : callable

@@ -70,11 +70,7 @@ class PendulumController(Block[PendulumControllerParams]):
 
     INPUTS = (SEEN,)
     OUTPUTS = (TORQUE,)
-
-    @classmethod
-    def agreed(cls, params: PendulumControllerParams) -> Mapping[str, Any]:
-        """The gains."""
-        return {"pendulum/k_negative": params.k_negative, "pendulum/k_positive": params.k_positive}
+    AGREED = {"pendulum/k_negative": "k_negative", "pendulum/k_positive": "k_positive"}
 
     def update(self, x: Any, t: int, *, state: tuple[float, ...]) -> Answer:
         """Return the torque."""

@@ -23,7 +23,6 @@ def functional(system: PwaSystem, matrices: Mapping[str, Array], x: Array, slope
 
     Parameters
     ----------
-    system : PwaSystem
     matrices : mapping
         Of a certificate.
     x : (m + 1, n) array

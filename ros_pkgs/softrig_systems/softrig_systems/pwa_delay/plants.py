@@ -247,6 +247,7 @@ class PendulumPlant(DelayPlant[PendulumPlantParams]):
     DRAWN_BY = "softrig_systems.pwa_delay.drawing:Pendulum"
     INPUTS = (TORQUE,)
     OUTPUTS = (PENDULUM, mode("pendulum/mode"))
+    AGREED = {"pendulum/model": "model"}
     loop = run_pendulum
     cell_of = pendulum_cell
 
@@ -261,11 +262,6 @@ class PendulumPlant(DelayPlant[PendulumPlantParams]):
     def constants(self, delay: Profile) -> Any:
         """The pendulum with the torque as a command."""
         return PendulumConstants(float(self.p.model == "nonlinear"), 0.0, np.array([FREE]), delay)
-
-    @classmethod
-    def agreed(cls, params: PendulumPlantParams) -> Mapping[str, Any]:
-        """Return which pendulum it is."""
-        return {"pendulum/model": params.model}
 
     def advance(self, x: Any, t: int, *, torque: tuple[float, ...]) -> Any:
         """Hold the torque for one period."""

@@ -49,7 +49,6 @@ def simulate_pwa(system: PwaSystem, delay: Profile, x0: Sequence[float], duratio
     ----------
     delay : Profile
         With h > 0.
-    x0 : sequence of float
     duration : float
         s.
     steps : int

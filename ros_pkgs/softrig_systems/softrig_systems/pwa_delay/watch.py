@@ -129,7 +129,6 @@ def evaluate(
 
     Parameters
     ----------
-    p : Fixed
     rows, slopes : (4 m + 1, n) array
         Rings of the states and of dx/d(t/h).
     values : (m + 1,) array

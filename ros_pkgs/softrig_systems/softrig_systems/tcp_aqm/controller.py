@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, History, Level, param, to_ns
@@ -91,11 +91,7 @@ class AqmController(Block[AqmControllerParams]):
 
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (COMMAND, HEALTH)
-
-    @classmethod
-    def agreed(cls, params: AqmControllerParams) -> Mapping[str, Any]:
-        """Return the references; its assumed network may differ."""
-        return {"tcp/set_point": params.set_point}
+    AGREED = {"tcp/set_point": "set_point"}  # its assumed network may differ
 
     def setup(self) -> None:
         """Choose the law."""

@@ -48,7 +48,6 @@ def slopes(t: float, x: Array, past: Trajectory, c: Constants, dx: Array) -> Non
         Window and queue (packets), drop probability, packets served; their slopes are written.
     past : Trajectory
         The history of x.
-    c : Constants
     """
     w, q = x[WINDOW], x[QUEUE]
     R = q / c.C + c.tau_p

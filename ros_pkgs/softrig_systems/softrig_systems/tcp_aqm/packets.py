@@ -187,7 +187,6 @@ def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside
     ----------
     end : float
         s.
-    rules : Rules
     rng : numpy.random.Generator
         Draws one number for each packet that is sent.
     inside : Inside

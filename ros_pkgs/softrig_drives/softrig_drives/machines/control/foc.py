@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Port, param, scalars, vector3
@@ -67,17 +67,13 @@ class FocController(Block[FocControllerParams]):
     """
 
     STATE = State
+    AGREED = {"machines/pole_pairs": "pole_pairs", "machines/period": "period"}
 
     @classmethod
     def ports(cls, params: FocControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The reference is that of the mode."""
         reference = {"speed": SPEED_REF, "torque": TORQUE_REF, "current": CURRENT_REF}[params.mode]
         return (CURRENTS, SHAFT_MEAS, DC_LINK, reference), (DUTY, FOC)
-
-    @classmethod
-    def agreed(cls, params: FocControllerParams) -> Mapping[str, Any]:
-        """Pole pairs and period of the machine."""
-        return {"machines/pole_pairs": params.pole_pairs, "machines/period": params.period}
 
     def setup(self) -> None:
         """Design both loops."""

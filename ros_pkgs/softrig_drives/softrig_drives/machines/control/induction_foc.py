@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from softrig_core import Block, Port, param, scalars
 
@@ -59,17 +59,13 @@ class ImFocController(Block[ImFocParams]):
     """
 
     STATE = State
+    AGREED = {"machines/pole_pairs": "pole_pairs", "machines/period": "period"}
 
     @classmethod
     def ports(cls, params: ImFocParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The reference is that of the mode."""
         reference = SPEED_REF if params.mode == "speed" else TORQUE_REF
         return (CURRENTS, SHAFT_MEAS, DC_LINK, reference), (DUTY, IM_FOC)
-
-    @classmethod
-    def agreed(cls, params: ImFocParams) -> Mapping[str, Any]:
-        """Pole pairs and period of the machine."""
-        return {"machines/pole_pairs": params.pole_pairs, "machines/period": params.period}
 
     def setup(self) -> None:
         """Design the loops."""

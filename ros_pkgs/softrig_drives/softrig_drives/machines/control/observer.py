@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from softrig_core import Block, BlockParams, joint_state, param, vector3
 
@@ -60,11 +60,7 @@ class FluxObserver(Block[FluxObserverParams]):
 
     INPUTS = (CURRENTS, APPLIED, DC_LINK)
     OUTPUTS = (ESTIMATE, FLUX)
-
-    @classmethod
-    def agreed(cls, params: FluxObserverParams) -> Mapping[str, Any]:
-        """Pole pairs and period of the machine."""
-        return {"machines/pole_pairs": params.pole_pairs, "machines/period": params.period}
+    AGREED = {"machines/pole_pairs": "pole_pairs", "machines/period": "period"}
 
     def first(self) -> State:
         """Begin with the magnet's flux at the known angle."""

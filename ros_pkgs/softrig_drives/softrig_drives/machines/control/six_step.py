@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from softrig_core import Block, Level, param, scalars
 
@@ -53,11 +53,7 @@ class SixStepController(Block[SixStepParams]):
     INPUTS = (CURRENTS, HALL, SHAFT_MEAS, DC_LINK, SPEED_REF)
     OUTPUTS = (GATES, SIX_STEP)
     STATE = State
-
-    @classmethod
-    def agreed(cls, params: SixStepParams) -> Mapping[str, Any]:
-        """Pole pairs of the machine."""
-        return {"machines/pole_pairs": params.pole_pairs}
+    AGREED = {"machines/pole_pairs": "pole_pairs"}
 
     def setup(self) -> None:
         """Design both loops."""

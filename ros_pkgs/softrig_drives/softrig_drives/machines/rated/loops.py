@@ -60,7 +60,6 @@ def written(drive: Drive, names: tuple[str, str], begin: float, more: str = "") 
 
     Parameters
     ----------
-    drive : Drive
     names : (str, str)
         Of the plant's and the controller's node.
     begin : float

@@ -28,7 +28,6 @@ class Moving:
 
     Parameters
     ----------
-    parts : Parts
     state : State
         Nothing writes into its arrays from now on.
     """

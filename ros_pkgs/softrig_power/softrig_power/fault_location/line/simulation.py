@@ -49,7 +49,6 @@ def advance(net: Network, chain: Chain, transform: Array, state: State, k: int, 
         Changed in place.
     k : int
         Step that the state belongs to.
-    steps : int
     """
     first, last = k + 1, k + steps
     while first <= last:

@@ -73,7 +73,6 @@ def trial_voltage(
 
     Parameters
     ----------
-    line : Model
     end : ndarray, shape (2, n)
         Modal voltage and current of the end.
     r : float
@@ -111,7 +110,6 @@ def mismatch(line: Model, ends: Array, first: int, count: int, x: float, tau: fl
 
     Parameters
     ----------
-    line : Model
     ends : ndarray, shape (4, n)
         Modal u_S, i_S, u_R, i_R.
     first, count : int

@@ -24,7 +24,6 @@ class Location:
 
     Parameters
     ----------
-    status : Status
     x_km : float or None
         Distance from S; None if there is no position.
     f_min, f_max : float

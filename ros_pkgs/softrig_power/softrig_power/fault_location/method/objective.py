@@ -51,8 +51,6 @@ class Objective:
 
     Parameters
     ----------
-    record : Record
-    p : LocatorParams
     rng : numpy.random.Generator, optional
         Random numbers of a swarm; those of `p.seed` alone when absent.
 

@@ -92,8 +92,6 @@ class Settings:
 
     Parameters
     ----------
-    revision : str
-    analog : tuple of Analog
     switches : int
         Status channels.
     frequency : float

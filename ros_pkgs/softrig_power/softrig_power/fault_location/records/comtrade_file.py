@@ -265,14 +265,12 @@ def write_comtrade(
     ----------
     path : Path or str
         Without suffix, or with ``.cfg``.
-    record : Record
     end : {"both", "s", "r"}
         Which channels.
     file_format : {"ascii", "binary", "float32"}
         Resolution 1e-5 and 3e-5 of each channel's largest value, and single precision.
     frequency : float
         Hz.
-    station : str
     clock_late : float
         s added to the written start time.
 

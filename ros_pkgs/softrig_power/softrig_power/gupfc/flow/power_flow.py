@@ -106,7 +106,6 @@ class PowerFlow:
 
     Parameters
     ----------
-    params : NetworkParams
     converter_loss : bool
         Whether the balance holds at the converter's terminal, so that P_sh + P12 + P34 also covers the loss of the
         shunt transformer, as in the plant; the power-injection model of the paper balances at bus 1.
@@ -125,7 +124,6 @@ class PowerFlow:
 
         Parameters
         ----------
-        references : References
         tolerance : float
             Largest residual that counts as solved, pu.
         surplus : float

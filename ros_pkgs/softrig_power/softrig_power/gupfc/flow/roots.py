@@ -62,7 +62,6 @@ def operating_points(
 
     Parameters
     ----------
-    p : NetworkParams
     s1, s2 : complex
         Powers out of buses 2 and 4 into their lines, pu.
     v : float

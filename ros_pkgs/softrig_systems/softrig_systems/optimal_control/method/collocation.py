@@ -98,7 +98,6 @@ def solve(
 
     Parameters
     ----------
-    problem : Problem
     intervals, degree : int
         Intervals of equal length, and Legendre points in each.
     samples : int

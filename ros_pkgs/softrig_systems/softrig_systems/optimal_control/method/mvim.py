@@ -59,7 +59,6 @@ class Solution:
         Of powers of s = (t - t_stage)/(T/stages).
     horizon : float
         T, s.
-    order : int
     alpha : ndarray, (states,)
         lambda(0).
     J : list of float
@@ -81,7 +80,6 @@ class Solution:
         Order at which the paper's rule (one ratio below eps) would have stopped; 0: at none so far.
     roots : dict of int to list of Root
         For the low orders at which several alphas meet the end conditions: all of them, the chosen one first.
-    reason : str
     """
 
     coefficients: Array
@@ -304,7 +302,6 @@ def solve(
 
     Parameters
     ----------
-    problem : Problem
     order : int
         Least order of the answer.
     order_max : int, optional

@@ -85,8 +85,6 @@ def best(
 
     Parameters
     ----------
-    problem : Problem
-    roots : list of ndarray
     z_of : callable
         An alpha to the series of states and costates, and of the controls.
     cost : callable

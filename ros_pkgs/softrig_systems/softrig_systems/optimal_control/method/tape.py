@@ -161,7 +161,6 @@ def expand(tape: Tape, z: Array, more: Array, T: float) -> None:
 
     Parameters
     ----------
-    tape : Tape
     z : ndarray, (n_z, order + 1)
         Changed in place.
     more : ndarray, (outputs - n_z, order + 1)

@@ -77,10 +77,8 @@ def certify(
 
     Parameters
     ----------
-    system : PwaSystem
     h : float
         Delay bound, s, > 0.
-    criterion : Criterion
     shortest : float, optional
         Constant: for every delay from here to h, 0 to h, s; h alone when absent.
     sliding : bool
