@@ -564,7 +564,7 @@ def test_overlaid_pictures_are_as_expected():
         [overlay(f"run {k}", f"run {k}", 0.1 * k, peak=1.0) for k in range(12)],
     ]
     titles = [title for runs in cases for title, _ in draw_overlay(runs, ", again")]
-    figures = [figure for runs in cases for _, figure in overlay_figures(runs, ", again")]
+    figures = [figure for runs in cases for _, figure in overlay_figures(runs)]
     reported = (line for title, f in zip(titles, figures, strict=True) for line in (title, *figure_lines(f)))
     check_expected("pictures/overlay", reported)
 

@@ -986,7 +986,7 @@ class Beats:
             self.nodes.append(drive)
         self.begins = []
         self.law, self.row = SimpleNamespace(t=0), SimpleNamespace(fed=lambda now: self.calls.append("fed"))
-        Beat(self.nodes, [(self.law, self.row, self.nodes[0])])
+        Beat(self.nodes, [(self.law, self.row, self.nodes[0])], SimpleNamespace(active=False, begins=lambda k: False))
         (self.timer,) = self.hand.timers
 
     def follows(self, begun, newest):

@@ -178,12 +178,7 @@ def _sweep(packs: Path) -> None:
 
 
 def unpack(path: Path, folder: Path) -> dict[str, str]:
-    """Unpack a file below a new folder, and nowhere else.
-
-    Returns
-    -------
-    dict of str to str
-        SHA-256 of each file by its place.
+    """Unpack a file below a new folder, and nowhere else; return the SHA-256 of each file by its place.
 
     Raises
     ------

@@ -57,21 +57,14 @@ def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str,
         yield figure.title, svg(figure)
 
 
-def overlay_figures(
-    runs: Sequence[Overlay], note: str = "", style: Style = PLAIN
-) -> Iterator[tuple[PlotEntry, Printed]]:
+def overlay_figures(runs: Sequence[Overlay], style: Style = PLAIN) -> Iterator[tuple[PlotEntry, Printed]]:
     """Draw by matplotlib each plot over time that at least two runs share.
 
     Each signal has its own axes, each run or group of draws its own colour. A group of `LEAST` or more runs is its
     median and the band between the quantiles `BAND`. A reference that is the same in all runs is drawn once.
-
-    Parameters
-    ----------
-    note : str
-        Behind each title.
     """
     for entry, figure in _figures(runs, style.letters):
-        yield entry, fitted(figure, entry.title + note, style)
+        yield entry, fitted(figure, entry.title, style)
 
 
 def _figures(runs: Sequence[Overlay], width: int) -> Iterator[tuple[PlotEntry, Figure]]:

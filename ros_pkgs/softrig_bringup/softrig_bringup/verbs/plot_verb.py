@@ -111,7 +111,7 @@ def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Na
         rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
         overlays.append(Overlay(label, label, rig.scenario.plots, shown(rig), result))
     _check_window(options.window, [over.signals for over in overlays])
-    for entry, figure in overlay_figures(overlays, style=style):
+    for entry, figure in overlay_figures(overlays, style):
         yield entry, figure, _side_by_side(entry, overlays)
 
 

@@ -28,15 +28,12 @@ class Beat:
         Plants first, then each after those that it reads, which are all among them.
     commands : sequence of (step, Live, plant)
         Commands of the plants: the step that publishes each, its row and the plant that reads it.
-    native : Native, optional
+    native : Native
         Runs ticks of these drives while nothing needs Python.
     """
 
     def __init__(
-        self,
-        drives: Sequence[Realtime],
-        commands: Sequence[tuple[Step, Live, Realtime]],
-        native: Native | None = None,
+        self, drives: Sequence[Realtime], commands: Sequence[tuple[Step, Live, Realtime]], native: Native
     ) -> None:
         self._drives, self._commands = drives, commands
         plan = Plan(d.node.schedule for d in drives)
@@ -48,8 +45,7 @@ class Beat:
         self._native = native
         for drive in drives:
             drive.follow(self._begin, self._tick)
-            if native is not None:
-                drive.before_reading = self._settle
+            drive.before_reading = self._settle
 
     def _begin(self) -> None:
         """Start the timer when all nodes run."""
@@ -59,7 +55,7 @@ class Beat:
     def _tick(self) -> None:
         """Answer with the nodes that are due; late ones answer first, with the values up to their tick."""
         first, grid, native = self._drives[0], self._grid, self._native
-        if native is not None and native.active:
+        if native.active:
             if native.check():
                 return
             self._follow_native()
@@ -92,21 +88,20 @@ class Beat:
 
     def _goes_native(self) -> bool:
         """Leave the next ticks to native code, if nothing is in the way."""
-        if self._native is None or not self._native.begins(self._number + 1):
+        if not self._native.begins(self._number + 1):
             return False
         self._timer.again(EVERY, EVERY)
         return True
 
     def _settle(self) -> None:
         """End native ticks, so that the steps have their newest state."""
-        if self._native is not None and self._native.active:
+        if self._native.active:
             self._native.end()
             self._follow_native()
             self._timer.again(SOON)
 
     def _follow_native(self) -> None:
         """Continue after native ticks."""
-        assert self._native is not None
         self._number, now = self._native.reached - 1, self._drives[0].clock()
         for _, command, _ in self._commands:
             command.fed(now)
