@@ -25,7 +25,7 @@ SCENARIO = "{title: t, system: s, duration: 1.0, nodes: {source: {package: fault
 BUDGETS = (
     (["bag", "info", "r/bag"], (*RIG, *TABLES, "pydantic", "softrig_bringup.run"), 325, 62),
     (["bag", "compare", "r/bag", "r/bag"], (*RIG, *TABLES, "pydantic"), 330, 67),
-    (["report", "r"], (*RIG, *TABLES), 450, 99),
+    (["report", "r"], (*RIG, *TABLES, "pydantic"), 375, 97),
     (["new", "my_rig"], TABLES, 515, 160),
     (["list", "--signals", "dc_motor_smc_b2"], TABLES, 605, 200),
     (["run", *RUN[1:], "again"], TABLES, 805, 272),

@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import replace
 from types import SimpleNamespace
 from xml.etree.ElementTree import tostring
 
@@ -24,7 +25,7 @@ from softrig_core.verdict.result import Result
 
 
 def result(name="m", value=1.0, passed=True, **more):
-    return Result(name=name, value=value, **{"pass": passed}, **more)
+    return Result(name=name, value=value, passed=passed, **more)
 
 
 def lines(*elements):
@@ -141,7 +142,7 @@ def run(**more):
         "code": {"softrig_core": "x"},
         "wiring": {"nodes": {"gain": {"executable": "p/gain", "period": 0.01}}},
     }
-    return RunRecord.model_validate(about | more)
+    return RunRecord.read(about | more)
 
 
 ONE = result("rise", 1.05, expected=1.0, tolerance=0.1, unit="s")
@@ -164,7 +165,7 @@ RUNS = {
 def test_the_subtitle_of_a_run_is_as_expected():
     messages = []
     for name, more in RUNS.items():
-        of = run(**more | {"metrics": [m.model_dump(by_alias=True) for m in more.get("metrics", ())]})
+        of = run(**more | {"metrics": [m.plain() for m in more.get("metrics", ())]})
         missed = [m.name for m in of.missed]
         messages += [
             f"{name}: {of.simulated_s:g} s, compared {of.compared}, missed {missed}",
@@ -330,8 +331,7 @@ def test_draws_are_named_by_the_common_part_of_their_names():
 
 def metrics(n, **more):
     return [
-        result(f"m_{k}", k + 0.5, k != 1, unit="m^2" if k < 2 else "", at_most=9.0, **more).model_dump(by_alias=True)
-        for k in range(n)
+        result(f"m_{k}", k + 0.5, k != 1, unit="m^2" if k < 2 else "", at_most=9.0, **more).plain() for k in range(n)
     ]
 
 
@@ -407,7 +407,7 @@ def test_papers_are_printed_with_their_location():
     assert _publication({k: where[k] for k in ("publisher", "number")}) == "P (6)"
     assert _publication({}) == ""
     paper = Citation(key="k", authors=("A. B", "C. D"), title="T", year="2020", place="J 2", doi="10/x", bibtex="@x{k}")
-    plain = paper.model_copy(update={"doi": "", "place": ""})
+    plain = replace(paper, doi="", place="")
     assert listed([paper, plain]) == [
         "- A. B, C. D: *T*. J 2, 2020. [doi:10/x](https://doi.org/10/x).",
         "- A. B, C. D: *T*. 2020. No DOI known.",

@@ -4,6 +4,7 @@ import io
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -252,7 +253,7 @@ def test_a_notebook_is_recognised_by_its_kernel(monkeypatch):
 
 
 def result(name, value, passed=True, **more):
-    return Result(name=name, value=value, **{"pass": passed}, **more)
+    return Result(name=name, value=value, passed=passed, **more)
 
 
 JUDGED = [
@@ -277,7 +278,7 @@ CLAIMS = [
     ),
     Finding(scenario="x", key="b", text="b", where="W", verdict="reproduced", holds=True),
 ]
-CHANGED = [r.model_copy(update={"follows": r.name in ("margin", "always")}).not_judged("k = 1") for r in JUDGED]
+CHANGED = [replace(r, follows=r.name in ("margin", "always")).not_judged("k = 1") for r in JUDGED]
 STATUS = {
     "plant": {"ticks": 900, "missed_deadlines": 100, "late_ticks": 3, "latest_ms": 1.23456, "cpu_s": 2.0},
     "law": {"ticks": 10, "reports": {"clip": [1, "clipped", 4]}, "refused": {"u": [2, "nan"]}},
@@ -343,7 +344,7 @@ def options(*words):
         ((), {}, {"claims": CLAIMS[:1]}, 1),
         ((), {}, {"claims": CLAIMS[1:]}, 0),
         ((), {}, {"results": [JUDGED[1].not_judged("k = 1")]}, 0),
-        ((), {}, {"results": [JUDGED[1].model_copy(update={"follows": True}).not_judged("k = 1")]}, 1),
+        ((), {}, {"results": [replace(JUDGED[1], follows=True).not_judged("k = 1")]}, 1),
         ((), {"same": False}, {}, 1),
         ((), {}, {"error": "x", "stopped": 2}, 3),
         ((), {"same": False}, {"stopped": 15}, 143),

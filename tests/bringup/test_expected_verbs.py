@@ -9,6 +9,7 @@ import re
 import signal
 from collections import namedtuple
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -526,7 +527,7 @@ def test_the_status_of_claims_is_the_worst_of_its_claims_and_runs(
 
 
 def test_claims_are_cases_of_their_scenario_and_a_broken_run_is_an_error():
-    other = finding("c").model_copy(update={"scenario": "study_x"})
+    other = replace(finding("c"), scenario="study_x")
     result = results.suites(
         [finding("a"), finding("b", False), other],
         {"lag": measured("lag", seconds=2.5), "gone": measured("gone", "no", seconds=1.0)},
@@ -1384,8 +1385,9 @@ def test_a_checkout_is_reported_by_its_commit_and_its_lock_file(tmp_path, monkey
 
 
 def test_records_are_immutable_and_libraries_use_one_core():
-    models = (packed.Digest, packed.About, Citation, Node, Wire, Wiring, RunRecord)
-    assert [m.model_config.get("frozen") for m in models] == [True] * len(models)
+    assert packed.Digest.model_config["frozen"]
+    assert packed.About.model_config["frozen"]
+    assert all(kind.__dataclass_params__.frozen for kind in (Citation, Node, Wire, Wiring, RunRecord))
     process = viewer.Process("p", "e")
     assert (process.arguments, process.parameters, process.remappings, process.variables, process.kind) == (
         [],

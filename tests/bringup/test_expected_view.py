@@ -252,13 +252,13 @@ def document_lines(document):
 
 
 METRICS = [
-    Result(name="rise_time", unit="s", expected=0.6, tolerance=0.1, value=0.625, **{"pass": True}),
-    Result(name="ripple", unit="m^3/s", at_most=0.5, value=0.75, **{"pass": False}),
-    Result(name="settles", unit="s", at_most=1.0, value=None, error="never", **{"pass": False}),
-    Result(name="late_one", unit="s", at_most=1.0, value=None, error="no sample after 2 s", **{"pass": False}),
-    Result(name="cost", unit="", value=12345.678, **{"pass": True}),
-    Result(name="stays", unit="m", at_least=0.0, value=-0.5, settled=True, **{"pass": False}),
-    Result(name="starts", unit="m", at_least=0.0, value=0.5, settled=True, **{"pass": True}),
+    Result(name="rise_time", unit="s", expected=0.6, tolerance=0.1, value=0.625, passed=True),
+    Result(name="ripple", unit="m^3/s", at_most=0.5, value=0.75, passed=False),
+    Result(name="settles", unit="s", at_most=1.0, value=None, error="never", passed=False),
+    Result(name="late_one", unit="s", at_most=1.0, value=None, error="no sample after 2 s", passed=False),
+    Result(name="cost", unit="", value=12345.678, passed=True),
+    Result(name="stays", unit="m", at_least=0.0, value=-0.5, settled=True, passed=False),
+    Result(name="starts", unit="m", at_least=0.0, value=0.5, settled=True, passed=True),
 ]
 STATUS = {
     "tank": {"state": "running", "ticks": 41, "missed_deadlines": 3, "late_messages": 0, "dropped_ticks": 2},

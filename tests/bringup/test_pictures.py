@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import tostring
 
@@ -403,7 +404,7 @@ def run_of(**keys):
              "duration_s": 1.0, "ticks": 1, "wall_s": 0.1, "command": "", "metrics": (), "versions": {"machine": "x86"},
              "code": {"my_laws": "aaa"}, "parameters": {"gain": {"k": 1.0}},
              "wiring": {"nodes": {"gain": {"executable": "my_laws/gain", "period": 0.1}}}}  # fmt: skip
-    return RunRecord(**about | keys)
+    return RunRecord.read(about | keys)
 
 
 @pytest.mark.parametrize(
@@ -671,7 +672,7 @@ def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():
     assert (mark.axis, mark.start, mark.end) == ("violated", *low.violated_s[0])
     assert low.violated_s[0][0] <= low.at_s <= low.violated_s[0][1]
     # Requirements that are already judged are not judged again.
-    known = low.model_copy(update={"violated_s": ((0.25, 0.5),)})
+    known = replace(low, violated_s=((0.25, 0.5),))
     (mark,) = marks_of(rig, run.signals, [known])["lag/state/x/position"]
     assert (mark.start, mark.end) == (0.25, 0.5)
 

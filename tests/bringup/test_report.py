@@ -4,6 +4,7 @@ import json
 import math
 import platform
 import struct
+from dataclasses import replace
 from html.parser import HTMLParser
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -409,7 +410,7 @@ def make_run(make_rig, tmp_path):
         rig = make_rig(name=name, duration=0.2, plots=PLOTS[::3])
         run = Run(rig, 3, record(rig), 0.05, **keys)
         directory = tmp_path / name
-        content = summary(run, [Result(**m) for m in metrics], "scripts/softrig run flux_demo --set 'a.b=<c>'")
+        content = summary(run, [Result.read(m) for m in metrics], "scripts/softrig run flux_demo --set 'a.b=<c>'")
         save(run, content, ResultsFolder(directory), record=False)
         if picture:
             illustrate(run, ResultsFolder(directory))
@@ -559,7 +560,7 @@ def test_the_block_diagram_is_as_expected(make_rig):
     """One with every kind of wire: back to the controller, to several subscribers, to none; a node outside."""
     wiring = wiring_of(make_rig(duration=0.2))
     nodes = wiring.nodes | {"log": Node(executable="p/log", period=0.5, outside=True)}
-    wires = [w.model_copy(update={"readers": (*w.readers, "log")}) if "flux" in w.topic else w for w in wiring.wires]
+    wires = [replace(w, readers=(*w.readers, "log")) if "flux" in w.topic else w for w in wiring.wires]
     text = ElementTree.tostring(draw_diagram(Wiring(nodes=nodes, wires=tuple(wires))), "unicode", "html")
     check_expected("pages/diagram", page_lines(text))
 

@@ -628,7 +628,7 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
     pages.measure()
     assert len(measured) == 2  # a recording that was thinned is not measured
     del pages._source.thinned
-    pages._source.results = [r.model_dump(by_alias=True) for r in run.results]
+    pages._source.results = [r.plain() for r in run.results]
     pages.measure()
     assert len(measured) == 2
     for outcome, so_far in (("ended", False), ("stopped by a signal", True)):

@@ -8,7 +8,7 @@ import sys
 import zipfile
 from pathlib import Path
 
-from softrig_bringup.pack import cargo, packed
+from softrig_bringup.pack import cargo, packed, parts
 from softrig_bringup.verbs.new import new_package
 from softrig_core import ScenarioError
 
@@ -30,7 +30,7 @@ def attack(seed: int, directory: Path) -> None:
     before = {p for p in directory.rglob("*") if "cache" not in p.parts}
     path, known = list(sys.path), set(sys.modules)
     try:
-        folder = packed.opened(file) if packed.is_pack(file) else None
+        folder = packed.opened(file) if parts.is_pack(file) else None
         listed = list(cargo.cargo_of(folder, packed.about(folder))) if folder else []
     except ScenarioError as error:
         listed = str(error).splitlines()[1:]  # the message of a refusal is its first line

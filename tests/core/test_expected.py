@@ -7,10 +7,11 @@ import math
 import pytest
 from pydantic import ValidationError
 from softrig_core import ScenarioError
-from softrig_core.judge.claims import Claim, readable
+from softrig_core.judge.claims import Claim
 from softrig_core.judge.expectation import FORMS, Expectation, parse
 from softrig_core.judge.formula import Condition
 from softrig_core.judge.robustness import truth
+from softrig_core.judge.words import readable
 
 NAN, INF = math.nan, math.inf
 

@@ -15,7 +15,7 @@ from softrig_bags.files.reader import BagReader
 from softrig_core.kit.file_format import json_of
 from softrig_core.wire.long import stretches
 
-from ..pack.packed import BAG, METRICS
+from ..pack.parts import BAG, METRICS
 
 if TYPE_CHECKING:
     from softrig_core import Rig

@@ -27,7 +27,8 @@ from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import Topic
 
 from ..pack.cargo import check_scenario
-from ..pack.packed import METRICS, SCENARIO, STUDY, Digest, about, is_pack, need_packages, opened
+from ..pack.packed import Digest, about, need_packages, opened
+from ..pack.parts import METRICS, SCENARIO, STUDY, is_pack
 
 #: Of the versions of a run, what decides its bits, the likeliest first.
 DECIDE = ("math", "casadi", "pin", "daqp", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")

@@ -26,7 +26,8 @@ from softrig_core.kit.resource import prefixes
 from softrig_core.rig.code import OURS, is_ours
 from softrig_core.wire.types import TYPES
 
-from .packed import PACKAGES, SCENARIO, About, digest_of
+from .packed import About, digest_of
+from .parts import PACKAGES, SCENARIO
 
 GROUPS = ("console_scripts", "softrig_figures", "softrig_policies", "softrig_problems")
 LETTERS = 16  # of a SHA-256 that are shown

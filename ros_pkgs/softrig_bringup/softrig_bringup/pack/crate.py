@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .packed import CRATE
+from .parts import CRATE
 from .publication import Publication
 
 _KINDS = {

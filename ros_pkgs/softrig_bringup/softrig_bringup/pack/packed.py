@@ -25,9 +25,8 @@ from softrig_bags.files.reader import BagReader
 from softrig_core import ScenarioError
 from softrig_core.kit.compiled import cache_folder
 
-SUFFIX = ".softrig.zip"
-ABOUT, METRICS, CRATE = "pack.json", "metrics.json", "ro-crate-metadata.json"
-SCENARIO, PACKAGES, BAG, STUDY = "scenario", "packages", "bag", "study"
+from .parts import ABOUT, BAG, CRATE, METRICS, PACKAGES, SCENARIO, STUDY
+
 MOST = 4 << 30  # bytes, unpacked
 FILES = 10_000
 # In bytes, unpacked. A file that unpacks to less is accepted however small it is packed.
@@ -107,11 +106,6 @@ def placeless(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {placeless(k): placeless(v) for k, v in value.items()}
     return [placeless(v) for v in value] if isinstance(value, list | tuple) else value
-
-
-def is_pack(path: Path) -> bool:
-    """Return whether a path is a file that `softrig pack` may have written."""
-    return path.is_file() and zipfile.is_zipfile(path)
 
 
 def about(folder: Path) -> About:

@@ -15,7 +15,8 @@ from softrig_core.kit.confined import STRANGE, forbidden
 from . import sandbox
 from .brought import add_packages
 from .cargo import LETTERS, Cargo, cargo_of
-from .packed import about, digest_of, is_pack, opened
+from .packed import about, digest_of, opened
+from .parts import is_pack
 from .signature import signed_by
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from pydantic import BaseModel, ConfigDict
 from softrig_core import ScenarioError
+from softrig_core.data import Data
 from softrig_core.errors import closest
 from softrig_core.scenario.scenario_file import scenario_folders
 
@@ -17,7 +18,8 @@ from .html import e
 FILE = "references.bib"
 
 
-class Citation(BaseModel):
+@dataclass(frozen=True, kw_only=True)
+class Citation(Data):
     """A paper or book.
 
     Parameters
@@ -31,8 +33,6 @@ class Citation(BaseModel):
     bibtex : str
         Its entry, to be copied.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     key: str
     authors: tuple[str, ...]

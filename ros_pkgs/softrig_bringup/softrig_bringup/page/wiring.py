@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from softrig_core.data import Data
 
 if TYPE_CHECKING:
     from softrig_core import Rig
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
 SWEEPS = 8  # over the columns, until neighbours stand side by side
 
 
-class Node(BaseModel):
+@dataclass(frozen=True)
+class Node(Data):
     """A node as a box of the diagram.
 
     Parameters
@@ -26,18 +28,15 @@ class Node(BaseModel):
         Whether the node owns time; whether it is an external node.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     executable: str
     period: float
     plant: bool = False
     outside: bool = False
 
 
-class Wire(BaseModel):
+@dataclass(frozen=True)
+class Wire(Data):
     """A topic from the node that publishes it to those that read it."""
-
-    model_config = ConfigDict(frozen=True)
 
     topic: str
     type: str
@@ -45,21 +44,18 @@ class Wire(BaseModel):
     readers: tuple[str, ...] = ()
 
 
-class Wiring(BaseModel):
+@dataclass(frozen=True)
+class Wiring(Data):
     """The nodes of a rig by name, and its wires."""
 
-    model_config = ConfigDict(frozen=True)
-
-    nodes: dict[str, Node] = {}
+    nodes: dict[str, Node] = field(default_factory=dict)
     wires: tuple[Wire, ...] = ()
 
-    @model_validator(mode="after")
-    def _connected(self) -> Wiring:
+    def __post_init__(self) -> None:
         for wire in self.wires:
             for name in (wire.source, *wire.readers):
                 if name not in self.nodes:
                     raise ValueError(f"{wire.topic} names {name!r}, which is none of the nodes")
-        return self
 
 
 def wiring_of(rig: Rig) -> Wiring:

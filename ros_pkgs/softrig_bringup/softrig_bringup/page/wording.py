@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softrig_core.judge.claims import NEVER
+from softrig_core.judge.words import NEVER
 from softrig_core.verdict.result import DECIDED, Result
 
 from .html import NONE

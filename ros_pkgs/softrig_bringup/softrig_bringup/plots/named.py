@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
-from pydantic import BaseModel, ConfigDict
+from softrig_core.data import Data
 
 OVERVIEW = "overview.svg"
 LEAST = 3  # runs that a band needs; fewer are drawn one by one
@@ -15,10 +16,9 @@ def plot_name(number: int, title: str) -> str:
     return f"plot_{number:02d}_{re.sub(r'[^a-z0-9]+', '_', title.lower()).strip('_')[:60]}.svg"
 
 
-class Shown(BaseModel):
+@dataclass(frozen=True)
+class Shown(Data):
     """Display data of a plotted signal on pages about several runs: its unit, and how it is drawn."""
-
-    model_config = ConfigDict(frozen=True)
 
     unit: str
     held: bool

@@ -24,7 +24,8 @@ from softrig_core.wire.types import TYPES
 
 from ..options.identity import HALF, asked_half, bagged_half, strangers
 from ..pack.cargo import brings, check_scenario
-from ..pack.packed import BAG, METRICS, SCENARIO, about
+from ..pack.packed import about
+from ..pack.parts import BAG, METRICS, SCENARIO
 from .record import RunRecord, record_of
 
 SAME = 1e-9  # of a figure that other libraries have computed from the same bag
@@ -75,7 +76,7 @@ def record_of_pack(folder: Path) -> RunRecord:
             strange.append("its scenario is not that of its run: duration, seed or parameters differ")
         results = Run(rig, rig.scenario.seed, result.recording, epoch=int(custom.get("epoch", "0"))).results
         strange += differing(content.get("metrics", []), results)
-        content = {**content, "metrics": [m.model_dump(by_alias=True) for m in results]}
+        content = {**content, "metrics": [m.plain() for m in results]}
     return record_of(content | {"contradictions": strange}, METRICS)
 
 

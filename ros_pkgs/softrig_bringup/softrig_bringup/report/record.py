@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from softrig_core import ScenarioError
+from softrig_core.data import NAME, Data, MisfitError
 from softrig_core.errors import nearby
 from softrig_core.kit.file_format import json_of
-from softrig_core.scenario.plot_entry import PlotEntry
 from softrig_core.verdict.result import Result
 
 from ..page.citations import Citation
@@ -17,16 +18,36 @@ from ..page.wiring import Wiring
 from ..plots.named import Shown
 
 
-class _Status(BaseModel):
+@dataclass(frozen=True)
+class _Status(Data):
     """The entries of a node's status that the pages read by name; the status may also contain figures."""
 
     error: str = ""
-    reports: dict[str, tuple[int, str, int]] = {}
-    refused: dict[str, tuple[int, str]] = {}
+    reports: dict[str, tuple[int, str, int]] = field(default_factory=dict)
+    refused: dict[str, tuple[int, str]] = field(default_factory=dict)
     native: tuple[int, str] = (0, "")
 
 
-class _Changed(BaseModel):
+@dataclass(frozen=True)
+class Plot(Data):
+    """A picture of the scenario; see `softrig_core.scenario.plot_entry.PlotEntry`."""
+
+    title: str
+    signals: dict[str, str]
+    unit: str = ""
+    quantity: str = ""
+    x: str = ""
+    window: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.signals:
+            raise ValueError(f"the plot {self.title!r} has no signals")
+        if self.window is not None and not -math.inf < self.window[0] < self.window[1] < math.inf:
+            raise ValueError(f"window {self.window[0]:g} to {self.window[1]:g} s: expected its begin before its end")
+
+
+@dataclass(frozen=True)
+class _Changed(Data):
     """A change during the run: the node, and the first tick with the change."""
 
     at_s: float
@@ -34,7 +55,8 @@ class _Changed(BaseModel):
     set: dict[str, Any]
 
 
-class Origin(BaseModel):
+@dataclass(frozen=True)
+class Origin(Data):
     """The run from which this one continues: its command, and the time from which the two differ."""
 
     run: str
@@ -42,10 +64,9 @@ class Origin(BaseModel):
     command: str
 
 
-class RunRecord(BaseModel):
+@dataclass(frozen=True, kw_only=True)
+class RunRecord(Data):
     """The entries of ``metrics.json`` that the pages use."""
-
-    model_config = ConfigDict(frozen=True)
 
     scenario: str
     title: str
@@ -63,31 +84,24 @@ class RunRecord(BaseModel):
     changed: tuple[str, ...] = ()
     command: str
     metrics: tuple[Result, ...]
-    plots: tuple[PlotEntry, ...] = ()
+    plots: tuple[Plot, ...] = ()
     parameters: dict[str, dict[str, Any]]
     changes: tuple[_Changed, ...] = ()
-    units: dict[str, dict[str, str]] = {}
+    units: dict[str, dict[str, str]] = field(default_factory=dict)
     versions: dict[str, str]
-    code: dict[str, str] = {}
-    nodes: dict[str, dict[str, Any]] = {}
+    code: dict[str, str] = field(default_factory=dict)
+    nodes: dict[str, dict[str, Any]] = field(default_factory=dict)
     citations: tuple[Citation, ...] = ()
-    wiring: Wiring = Wiring()
-    signals: dict[str, Shown] = {}
-    also: dict[str, dict[str, str]] = {}  # `other_names` of the rig
-    origin: Origin | None = Field(default=None, alias="from")
+    wiring: Wiring = field(default_factory=Wiring)
+    signals: dict[str, Shown] = field(default_factory=dict)
+    also: dict[str, dict[str, str]] = field(default_factory=dict)  # `other_names` of the rig
+    origin: Origin | None = field(default=None, metadata={NAME: "from"})
     contradictions: tuple[str, ...] = ()
 
     @property
     def made_by(self) -> str:
         """Return the command that identifies the rig; for a run continued from another one, that of the first."""
         return self.command if self.origin is None else self.origin.command
-
-    @field_validator("nodes")
-    @classmethod
-    def _readable(cls, nodes: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        for status in nodes.values():
-            _Status.model_validate(status)
-        return nodes
 
     @property
     def simulated_s(self) -> float:
@@ -138,7 +152,16 @@ def record_of(content: Any, source: str) -> RunRecord:
         A key is missing or of the wrong type; names `source` and key.
     """
     try:
-        return RunRecord.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ScenarioError(f"{source}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None
+        record = RunRecord.read(content)
+        for status in record.nodes.values():
+            _checked_status(status)
+        return record
+    except MisfitError as error:
+        raise ScenarioError(f"{source}: {'.'.join(map(str, error.place))}: {error.reason.lower()}") from None
+
+
+def _checked_status(status: dict[str, Any]) -> None:
+    try:
+        _Status.read(status)
+    except MisfitError as error:
+        raise error.below("nodes") from None

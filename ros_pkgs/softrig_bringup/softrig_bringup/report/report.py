@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -11,7 +12,7 @@ from softrig_core.guard import print_line
 
 from ..folder import MARKS
 from ..options.identity import contradictions
-from ..pack.packed import is_pack, opened
+from ..pack.parts import is_pack
 from ..page.html import e, write_page
 from .apart import names
 from .record import RunRecord, read_run
@@ -69,7 +70,7 @@ def write_report(
         runs.append(_of_pack(directory) if is_pack(directory) else (directory, read_run(directory)))
         folder, record = runs[-1]
         if check and not record.contradictions and (result := contradictions(folder)):
-            runs[-1] = folder, record.model_copy(update={"contradictions": result})
+            runs[-1] = folder, replace(record, contradictions=result)
         for contradiction in runs[-1][1].contradictions if check else ():
             print_line(f"{directory}: {contradiction}")
     if not runs:
@@ -107,6 +108,7 @@ def write_report(
 
 def _of_pack(path: Path) -> tuple[Path, RunRecord]:
     """Read a pack as a run, without any code of its sender."""
+    from ..pack.packed import opened  # with pydantic, which a run's own record does not need
     from .looked import record_of_pack  # builds its rig
 
     folder = opened(path)
@@ -114,4 +116,4 @@ def _of_pack(path: Path) -> tuple[Path, RunRecord]:
         run = record_of_pack(folder)
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
-    return folder, run.model_copy(update={"label": run.label or path.name})
+    return folder, replace(run, label=run.label or path.name)

@@ -15,7 +15,8 @@ from softrig_core.rig.members import other_names
 
 from ..options.run_options import arguments, scenario_of
 from ..pack.cargo import nodes_in_c
-from ..pack.packed import ABOUT, is_pack, opened
+from ..pack.packed import opened
+from ..pack.parts import ABOUT, is_pack
 from ..plots.pictures import plot_run
 from .bag_rig import rig_of_bag
 from .looked import recorded_rig, rig_of_pack

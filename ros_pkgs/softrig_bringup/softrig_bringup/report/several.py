@@ -60,7 +60,7 @@ def _draws(run: RunRecord) -> str:
     """Return the common part of runs that differ only in their seed; empty for a run without random draws."""
     if run.error or run.stopped or not run.code or any(node.outside for node in run.wiring.nodes.values()):
         return ""
-    same = (run.scenario, run.mode, run.duration_s, run.code, run.parameters, machine(run), run.wiring.model_dump())
+    same = (run.scenario, run.mode, run.duration_s, run.code, run.parameters, machine(run), run.wiring.plain())
     return json.dumps(same, sort_keys=True)
 
 
@@ -158,10 +158,14 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
 
     Runs whose lengths differ too much for one axis have separate pictures (`APART`).
     """
-    from ..plots.overlay import Overlay, draw_overlay  # a page of one run draws none
+    # A page of one run draws none.
+    from softrig_core.scenario.plot_entry import PlotEntry
+
+    from ..plots.overlay import Overlay, draw_overlay
 
     records = [run for _, run in runs]
     same = groups(records, named)
+    plots = [tuple([PlotEntry(**plot.plain()) for plot in run.plots]) for run in records]
     for system in dict.fromkeys(run.system for run in records):
         members = [k for k, run in enumerate(records) if run.system == system]
         results = {k: opened for k in members if (opened := _signals(*runs[k])) is not None}
@@ -171,7 +175,7 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
             ends = max(records[k].simulated_s for k in group)
             pictures = list(
                 draw_overlay(
-                    [Overlay(named[k], same[k], records[k].plots, records[k].signals, results[k]) for k in group],
+                    [Overlay(named[k], same[k], plots[k], records[k].signals, results[k]) for k in group],
                     "" if len(group) == len(results) else f", runs of up to {ends:g} s",
                 )
             )

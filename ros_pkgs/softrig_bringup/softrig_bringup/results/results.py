@@ -235,7 +235,7 @@ def main(options: argparse.Namespace) -> int:
             scenarios, rows = scenarios + more, rows + judged
         replace(out / f"{name}.html", html(scenarios, rows, without, out))
         replace(out / f"{name}.md", markdown(scenarios, rows, without))
-    write_reports(options.junit, suites(rows, measured), options.json, [row.model_dump() for row in rows])
+    write_reports(options.junit, suites(rows, measured), options.json, [row.plain() for row in rows])
     unchanged = sum(m.kept for m in measured.values())
     if unchanged:
         print(f"{unchanged} of {len(measured)} runs are kept: neither code nor scenario has changed")

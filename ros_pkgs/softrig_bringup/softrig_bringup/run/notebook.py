@@ -27,7 +27,7 @@ MOST = 4  # pictures in a cell
 
 def html(run: Run) -> str:
     """Return the title, the table of figures and the first pictures of a run, which need no style sheet."""
-    record = RunRecord.model_validate(summary(run, run.results, ""))
+    record = RunRecord.read(summary(run, run.results, ""))
     with TemporaryDirectory() as folder:
         result = plot_run(run.signals, run.rig, Path(folder), most=MOST, results=run.results)
         pictures = [picture(path.read_bytes(), path.stem) for path in result[:MOST]]

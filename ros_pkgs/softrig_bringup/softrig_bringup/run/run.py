@@ -201,14 +201,14 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "branched": run.branched,
         "once": _once(run),
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in members},
-        "metrics": [f.model_dump(by_alias=True) for f in figures],
-        "claims": [f.model_dump() for f in run.claims],
+        "metrics": [f.plain() for f in figures],
+        "claims": [f.plain() for f in run.claims],
         "nodes": run.status,
         "plots": [p.model_dump() for p in scenario.plots],
-        "signals": {name: s.model_dump() for name, s in shown(run.rig).items()},
+        "signals": {name: s.plain() for name, s in shown(run.rig).items()},
         **({"also": other_names(run.rig)} if len(members) < len(run.rig.members) else {}),
-        "wiring": wiring_of(run.rig).model_dump(),
-        "citations": [c.model_dump() for c in cited(scenario.cites)],
+        "wiring": wiring_of(run.rig).plain(),
+        "citations": [c.plain() for c in cited(scenario.cites)],
     }
 
 

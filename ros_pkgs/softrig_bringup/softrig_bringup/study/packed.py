@@ -13,7 +13,8 @@ from softrig_core.scenario.scenario_file import locate
 from softrig_core.scenario.yaml_file import read_mapping
 
 from ..pack.cargo import check_scenario
-from ..pack.packed import SCENARIO, STUDY, about, is_pack, need_packages, opened, placeless
+from ..pack.packed import about, need_packages, opened, placeless
+from ..pack.parts import SCENARIO, STUDY, is_pack
 from .batch import row_of
 from .definition import FILE, Study, make_study
 from .draw import drafts_of

@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +175,7 @@ def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list
                 published=published,
                 passed=limits is None or limits.holds(value),
                 error="" if sure else f"the result is {value}",
-                **(limits or Expectation()).model_dump(),
+                **(limits or Expectation()).model_dump(exclude={"text"}),
             ).not_judged(study.written)
         )
     return result
@@ -184,4 +185,4 @@ def claims(study: Study, gathered: Sequence[Result]) -> list[Finding]:
     """Compare the claims of a study with its summaries; those of a changed machine stay open."""
     values = {r.name: r.number for r in gathered}
     findings = hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
-    return [claim.model_copy(update={"holds": None}) for claim in findings] if study.written else findings
+    return [replace(claim, holds=None) for claim in findings] if study.written else findings

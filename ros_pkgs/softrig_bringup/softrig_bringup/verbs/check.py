@@ -169,20 +169,20 @@ def outcome_of(run: Run, wall_s: float) -> dict[str, Any]:
         "scenario": run.rig.scenario.name,
         "wall_s": round(wall_s, 3),
         "error": run.error,
-        "metrics": [] if run.error else [r.model_dump(by_alias=True) for r in run.results],
+        "metrics": [] if run.error else [r.plain() for r in run.results],
         "claims": [] if run.error else [_claim(c) for c in run.claims],
     }
 
 
 def _claim(finding: Finding) -> dict[str, Any]:
-    return finding.model_dump() | {"false": finding.false if finding.holds is False else ""}
+    return finding.plain() | {"false": finding.false if finding.holds is False else ""}
 
 
 def suite_of(outcome: dict[str, Any]) -> Suite:
     """Return an outcome as a suite of cases: the judged values, and the claims whose verdict was compared with
     the run.
     """
-    results = [Result.model_validate(r) for r in outcome["metrics"]]
+    results = [Result.read(r) for r in outcome["metrics"]]
     cases = [Case(r.name, "" if r.passed else _missed(r), _measured(r), r.unit) for r in results if r.judged]
     cases += [
         Case(f"claim {c['key']}", c["false"], c["measured_text"]) for c in outcome["claims"] if c["holds"] is not None

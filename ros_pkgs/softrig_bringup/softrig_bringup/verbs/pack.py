@@ -33,24 +33,8 @@ from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeat
 from ..options.run_options import Again, scenario_of
 from ..pack.cargo import GROUPS, brings, runs_code
 from ..pack.crate import crate
-from ..pack.packed import (
-    ABOUT,
-    BAG,
-    CRATE,
-    FILES,
-    METRICS,
-    MOST,
-    PACKAGES,
-    SCENARIO,
-    STUDY,
-    SUFFIX,
-    About,
-    about,
-    digest_of,
-    is_pack,
-    opened,
-    placeless,
-)
+from ..pack.packed import FILES, MOST, About, about, digest_of, opened, placeless
+from ..pack.parts import ABOUT, BAG, CRATE, METRICS, PACKAGES, SCENARIO, STUDY, SUFFIX, is_pack
 from ..pack.publication import Publication
 from ..pack.signature import sign, signature_path, signed_by
 from ..page.citations import FILE as REFERENCES

@@ -16,7 +16,8 @@ from softrig_core.scenario.plot_entry import PlotEntry
 from softrig_core.wire.signals import short_name
 
 from ..options.naming import folder_of
-from ..pack.packed import is_pack, opened
+from ..pack.packed import opened
+from ..pack.parts import is_pack
 from ..plots.curves import Curve, Source, inside, shown, with_plots
 from ..plots.named import plot_name
 from ..plots.overlay import Overlay, overlay_figures

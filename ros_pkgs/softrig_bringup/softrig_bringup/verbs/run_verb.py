@@ -27,7 +27,8 @@ from softrig_nodes.processes.stopping import stoppable, unstopped
 from ..folder import ResultsFolder
 from ..options.repeat import words
 from ..options.run_options import begun, changed_words, folder_name, placement_of, repeat, scenario_of
-from ..pack.packed import BAG, METRICS, is_pack, opened
+from ..pack.packed import opened
+from ..pack.parts import BAG, METRICS, is_pack
 from ..pack.trust import admitted
 from ..page.wording import NEVER, accepted, in_words, short, spans
 from ..run.run import checked, execute, illustrate, once_broken_off, save, summary, tripped, turned

@@ -59,8 +59,8 @@ def main(options: argparse.Namespace) -> int:
         "runs": len(rows),
         "broken": sum(bool(r["error"]) for r in rows),
         "not_judged": not_judged(rows),
-        "summaries": [r.model_dump(by_alias=True) for r in result],
-        "claims": [c.model_dump() for c in judged],
+        "summaries": [r.plain() for r in result],
+        "claims": [c.plain() for c in judged],
     } | over.content()
     folder = ResultsFolder(out, STUDY)
     with folder.alone(), folder.anew() as new:

@@ -10,7 +10,7 @@ from softrig_core.extras import need
 from softrig_core.kit.file_format import json_object
 from softrig_nodes.processes.stopping import stoppable
 
-from ..pack.packed import is_pack
+from ..pack.parts import is_pack
 from ..report.run_rig import rig_of_run
 from . import run_verb
 

@@ -249,7 +249,7 @@ class Pages:
     def _figures(self) -> tuple[Sequence[Result], bool]:
         if self._source.results:
             stopped = self._source.outcome.startswith("stopped")  # nothing is judged of it
-            return [Result.model_validate(r) for r in self._source.results], stopped
+            return [Result.read(r) for r in self._source.results], stopped
         return self._results, True
 
     def measure(self) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from ..entry import Entry
+from .words import readable
 
 Verdict = Literal["reproduced", "fitted", "corrected", "refuted", "not_checkable"]
 VERDICTS: dict[Verdict, str] = {
@@ -19,16 +20,9 @@ VERDICTS: dict[Verdict, str] = {
     "refuted": "what was measured disagrees",
     "not_checkable": "cannot be decided, for the reason given",
 }
-# Written in place of the number of an event that does not happen.
-NEVER = "never"
 # The share of the published value that agrees where a claim states no tolerance of its own.
 TOLERANCE = 0.05
 _PERCENT = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*%\s*")
-
-
-def readable(value: float) -> str:
-    """Write a measured number for people: infinity becomes never."""
-    return NEVER if value == math.inf else f"{value:.6g}"
 
 
 class Claim(Entry):

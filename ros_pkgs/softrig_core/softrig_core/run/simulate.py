@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +16,7 @@ from ..bits import kernels
 from ..block.held import RunningBlock
 from ..errors import Impure, RunError, ScenarioError, closest
 from ..extras import need
-from ..judge.claims import NEVER
+from ..judge.words import NEVER
 from ..rig.members import other_names, signal_units
 from ..rig.rig import Rig
 from ..scenario.scenario import Draft, Scenario
@@ -137,7 +137,7 @@ class Run:
         if not self.stopped:
             return result
         late = f"not until {self.reached_s:.9g} s, when the run was stopped"
-        return [r.model_copy(update={"error": late, "number": math.nan}) if r.error == NEVER else r for r in result]
+        return [replace(r, error=late, number=math.nan) if r.error == NEVER else r for r in result]
 
     @cached_property
     def published_for(self) -> str:
@@ -160,7 +160,7 @@ class Run:
         name = self.rig.scenario.name
         result = findings(self.rig.scenario, lambda scenario: figures if scenario == name else None, units)
         open_ = bool(self.published_for) and not self.strict
-        return [c.model_copy(update={"holds": None}) for c in result] if open_ else result
+        return [replace(c, holds=None) for c in result] if open_ else result
 
     def __repr__(self) -> str:
         """Describe the run, the time that it reached and the results of its figures."""

@@ -21,7 +21,7 @@ from ..block.params import BlockParams, ParameterError, flatten
 from ..block.port import CLOCK
 from ..entry import Entry
 from ..errors import ScenarioError, closest
-from ..judge.claims import NEVER, Claim
+from ..judge.claims import Claim
 from ..judge.expectation import Expectation
 from ..judge.expression import number, references
 from ..judge.measures import (
@@ -36,6 +36,7 @@ from ..judge.measures import (
 )
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
+from ..judge.words import NEVER
 from ..kit.file_format import json_of
 from ..kit.newest import Kept, of_these, once_for_objects
 from ..rig.agreement import agreed_values, agreeing, shown
@@ -301,7 +302,9 @@ def evaluate(
         sure = (math.copysign(MOST, x) if required and math.isinf(x) else x for x in bounds)
         passed = limits is None or all(limits.holds(x) for x in sure)
         passed = passed and not impossible
-        about |= {"value": None if error else value, "number": value, "passed": passed, "error": error}
+        # Numbers and truths of numpy have no JSON.
+        value = float(value)
+        about |= {"value": None if error else value, "number": value, "passed": bool(passed), "error": error}
         results.append(Result(**about))
     return results
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
-from pydantic import BaseModel, ConfigDict
-
+from ..data import Data
 from ..errors import ScenarioError
-from ..judge.claims import Claim, Verdict, readable
+from ..judge.claims import Claim, Verdict
+from ..judge.words import readable
 from ..scenario.scenario import Scenario
 from ..scenario.scenario_file import list_scenarios
 from .result import Result
@@ -16,7 +17,8 @@ from .result import Result
 Figures = Mapping[str, float]
 
 
-class Finding(BaseModel):
+@dataclass(frozen=True, kw_only=True)
+class Finding(Data):
     """A claim and its check against the measurement.
 
     Parameters
@@ -32,8 +34,6 @@ class Finding(BaseModel):
     holds : bool, optional
         Whether the verdict fits the measurement; None when nothing was measured for it here.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     scenario: str
     key: str

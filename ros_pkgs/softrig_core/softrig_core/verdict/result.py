@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field, replace
 
-from pydantic import BaseModel, ConfigDict, Field
+from ..data import KEPT, LEAST, NAME, Data
 
 DECIDED = "by its conditions alone"  # of a requirement without a distance
 
 
-class Result(BaseModel):
+@dataclass(frozen=True, kw_only=True)
+class Result(Data):
     """A figure of a run: the measured value, the expected value, and the verdict.
 
     Parameters
@@ -21,6 +23,9 @@ class Result(BaseModel):
         Value in the paper, from the claim about this figure.
     expected, tolerance, at_most, at_least : float, optional
         The expectation; if none is set, the figure is for information.
+    passed : bool
+        Written as ``pass``. A figure for information passes unless its value is impossible; so does a figure that is
+        not judged.
     at_s : float, optional
         Of a requirement: the instant that decides its margin, s.
     violated_s : tuple of (float, float)
@@ -36,30 +41,27 @@ class Result(BaseModel):
         relative to them.
     settled : bool
         Of a run under way: whether the verdict is final.
-    passed : bool
-        Written as ``pass``. A figure for information passes unless its value is impossible; so does a figure that is
-        not judged.
+    number : float
+        As measured: infinity too, which JSON cannot hold.
     """
-
-    model_config = ConfigDict(frozen=True, populate_by_name=True)
 
     name: str
     value: float | None
     unit: str = ""
     published: float | None = None
     expected: float | None = None
-    tolerance: float | None = Field(None, ge=0, allow_inf_nan=False)
+    tolerance: float | None = field(default=None, metadata={LEAST: 0.0})
     at_most: float | None = None
     at_least: float | None = None
-    passed: bool = Field(alias="pass")
+    passed: bool = field(metadata={NAME: "pass"})
     error: str = ""
     at_s: float | None = None
     violated_s: tuple[tuple[float, float], ...] = ()
     open_from_s: float | None = None
     published_for: str = ""
-    follows: bool = Field(False, exclude=True)
-    settled: bool = Field(False, exclude=True)
-    number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
+    follows: bool = field(default=False, metadata={KEPT: False})
+    settled: bool = field(default=False, metadata={KEPT: False})
+    number: float = field(default=math.nan, metadata={KEPT: False})
 
     @property
     def limited(self) -> bool:
@@ -81,4 +83,4 @@ class Result(BaseModel):
         """
         if self.follows or not self.judged or not why:
             return self
-        return self.model_copy(update={"published_for": why, "passed": True})
+        return replace(self, published_for=why, passed=True)

@@ -1,0 +1,15 @@
+"""Names of what a pack holds, and whether a file is one; for code that reads no pack."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zipfile import is_zipfile
+
+SUFFIX = ".softrig.zip"
+ABOUT, METRICS, CRATE = "pack.json", "metrics.json", "ro-crate-metadata.json"
+SCENARIO, PACKAGES, BAG, STUDY = "scenario", "packages", "bag", "study"
+
+
+def is_pack(path: Path) -> bool:
+    """Return whether a path is a file that `softrig pack` may have written."""
+    return path.is_file() and is_zipfile(path)
