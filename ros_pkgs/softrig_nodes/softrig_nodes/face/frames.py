@@ -52,13 +52,7 @@ class Frames:
 
 
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
-    """Return the bytes of a tf2_msgs/msg/TFMessage.
-
-    Parameters
-    ----------
-    stamp : int
-        ns.
-    """
+    """Return the bytes of a tf2_msgs/msg/TFMessage; the stamp is in ns."""
     poses = list(poses)
     writer = Writer()
     writer.add("I", len(poses))

@@ -41,13 +41,7 @@ class HeldMutex(NamedTuple):
 
 
 class DeadLocks:
-    """The mutexes in the ports of a domain; `release` is called again and again.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the ports are.
-    """
+    """The mutexes in the ports of a domain, which are files of a folder; `release` is called again and again."""
 
     def __init__(self, folder: Path = FOLDER) -> None:
         self._folder = folder

@@ -99,13 +99,7 @@ class Forked:
 
 
 class ForkServer:
-    """A server of this process: it ends with this process, and its nodes with it.
-
-    Parameters
-    ----------
-    variables : mapping
-        Environment of its nodes, as far as it is not in `OWN`.
-    """
+    """A server of this process for one environment (see `OWN`): it ends with this process, and its nodes with it."""
 
     def __init__(self, variables: Mapping[str, str]) -> None:
         self._key = _key(variables)

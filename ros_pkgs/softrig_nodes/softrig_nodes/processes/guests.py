@@ -53,10 +53,7 @@ class Guests:
     def check(self, states: Mapping[str, Mapping[str, Any]]) -> None:
         """Report nodes that have joined since the last call and, once, what prevents others from joining.
 
-        Parameters
-        ----------
-        states : mapping
-            Status of each of our nodes, by name (`softrig_nodes.adapter.adapter.Adapter.status`).
+        `states` has the status of each of our nodes, by name (`softrig_nodes.adapter.account.Account.write_status`).
         """
         if not self._needed:
             return
