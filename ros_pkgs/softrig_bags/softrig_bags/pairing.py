@@ -24,7 +24,13 @@ Compare = Callable[[Block, NDArray[np.intp], Block, NDArray[np.intp], Ints], Non
 
 
 def useless(stamps: NDArray[Any]) -> str:
-    """Return why the stamps of a topic, shape (n,), do not date its messages; an empty text if they do."""
+    """Return why stamps do not date messages; an empty text if they do.
+
+    Parameters
+    ----------
+    stamps : array of shape (n,)
+        Of the messages of a topic.
+    """
     if len(stamps) < 2 or np.ptp(stamps):
         return ""
     return f"header stamps are all {'zero' if not stamps[0] else 'equal'}"

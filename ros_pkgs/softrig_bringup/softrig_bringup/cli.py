@@ -224,7 +224,10 @@ class _Unasked:
 def make_parser(asked: str = "") -> argparse.ArgumentParser:
     """Create the parser of all verbs; those with a command line of their own, or of scripts/softrig, only by name.
 
-    `asked` is the verb whose options are needed, or another word if none are; those of all verbs when empty.
+    Parameters
+    ----------
+    asked : str
+        The verb whose options are needed, or another word if none are; those of all verbs when empty.
     """
     parser = Parser(
         prog="softrig",

@@ -140,7 +140,10 @@ class ResultsFolder:
     def once(self, broken_off: Callable[[Iterable[Path]], Iterable[str]]) -> str:
         """Describe why results of the earlier run here cannot be made again; empty if they can.
 
-        `broken_off` gets the shards of a run that was killed, and returns what in them cannot be reproduced.
+        Parameters
+        ----------
+        broken_off : callable
+            Called with the shards of a run that was killed; returns what in them cannot be reproduced.
         """
         try:
             content = json_of((self.path / "metrics.json").read_text())
@@ -158,7 +161,10 @@ class ResultsFolder:
     def clear(self, once: str = "") -> None:
         """Remove the files listed by the earlier run, and the folders that are then empty; never the target of a link.
 
-        For `once` see `begin`.
+        Parameters
+        ----------
+        once : str
+            See `begin`.
         """
         self.begin(once)
         try:

@@ -27,7 +27,13 @@ from .seam.endpoint import Output
 
 
 class Group:
-    """Nodes of one process, driven together: all in lockstep, or all in real time."""
+    """Nodes of one process, driven together.
+
+    Parameters
+    ----------
+    nodes : sequence of Adapter
+        All in lockstep, or all in real time.
+    """
 
     def __init__(self, nodes: Sequence[Adapter]) -> None:
         self.nodes = nodes

@@ -129,7 +129,13 @@ class BagWriter:
         self._file.write(number, t, data)
 
     def write_recording(self, recording: Recording, numbers: Mapping[str, int]) -> None:
-        """Append all messages of a recording by time, into the open file; `numbers` are those of its topics."""
+        """Append all messages of a recording by time, into the file that is open.
+
+        Parameters
+        ----------
+        numbers : mapping of str to int
+            Number of each topic, by its name in the recording.
+        """
         if isinstance(self._file, McapFile):
             write_recording(self._file, recording, numbers)
             return

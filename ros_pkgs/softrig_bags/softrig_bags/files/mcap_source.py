@@ -100,7 +100,10 @@ class McapSource(Source):
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
         """Yield blocks, each with its place in the file and the time before which no further message follows.
 
-        Blocks that end before `start` may be left out.
+        Parameters
+        ----------
+        start : int
+            Blocks that end earlier may be left out.
         """
         parts = sorted((p for p in self._parts if p.last >= start or not start), key=lambda p: (p.first, p.start))
         for k, part in enumerate(parts):

@@ -20,7 +20,13 @@ from .selection import Selection
 
 
 def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]) -> int:
-    """Play a bag by the options of `cli.main_play`, which the node shows as `parameters`; return the exit status."""
+    """Play a bag according to the options of `cli.main_play`; return the exit status.
+
+    Parameters
+    ----------
+    parameters : sequence of (Declaration, value)
+        The options as the node shows them.
+    """
     selection = Selection.of(options.topics, options.regex, options.exclude)
     answers = [absolute(name) for name in options.lockstep]
     remap = dict(_remapping(text) for text in options.remap)

@@ -45,7 +45,13 @@ WATCH_PERIOD = 0.25  # s
 
 
 class Publishers:
-    """The publishers of the topics that are played, under the names that `remap` has for them."""
+    """The publishers of the topics that are played, and their subscribers.
+
+    Parameters
+    ----------
+    remap : mapping of str to str
+        Recorded name to name to publish.
+    """
 
     def __init__(self, session: Session, bag: BagReader, topics: Sequence[BagTopic], remap: Mapping[str, str]) -> None:
         self._node = session.node
@@ -171,7 +177,13 @@ class Player:
         self.sent = 0
 
     def run(self, wait: bool = False) -> None:
-        """Play until the end or until stopped; with `wait`, begin when every topic has a subscriber."""
+        """Play until the end or until stopped.
+
+        Parameters
+        ----------
+        wait : bool
+            Do not start before every topic has a subscriber.
+        """
         while wait and not self._session.stopped and self._publishers.unheard(list(self._publishers.names.values())):
             self._session.spin(0.02)
         gc.collect()

@@ -87,7 +87,13 @@ def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool, 
 
 
 def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) -> str:
-    """Write a case (``worst`` or ``small``) as a scenario file: its changes if it extends a scenario, or all of it."""
+    """Write a case as a scenario file: its changes if it extends a scenario, or all of it.
+
+    Parameters
+    ----------
+    kind : str
+        ``worst`` or ``small``.
+    """
     scenario, overrides = case
     changed = scenario.changed(overrides=overrides)
     title = f"{changed.title}: {', '.join(outcome.violated) or 'least margin'}, {kind} case found"

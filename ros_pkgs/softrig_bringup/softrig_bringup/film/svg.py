@@ -14,7 +14,13 @@ FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', 'DejaVu Sans', sans-ser
 
 
 def sheet(dark: bool | None = None) -> str:
-    """Return the style sheet: a class a role for strokes, one for fills; without `dark` as the reader's system asks."""
+    """Return the style sheet: a class a role for strokes, one for fills.
+
+    Parameters
+    ----------
+    dark : bool, optional
+        Whether to use the colours for a dark background; by default those that the reader's system prefers.
+    """
 
     def rules(column: int) -> str:
         return "".join(

@@ -61,7 +61,13 @@ def scenario_word(name: str) -> str:
 
 
 def for_reader(command: str) -> str:
-    """Return a command of metrics.json as one that repeats the run on any machine, without paths of this one."""
+    """Return a command that repeats a run on any machine, without paths of the machine that made the run.
+
+    Parameters
+    ----------
+    command : str
+        As stored in metrics.json.
+    """
     try:
         parts = shlex.split(command)
     except ValueError:

@@ -51,7 +51,13 @@ def source_of(options: argparse.Namespace) -> Path | None:
 
 
 def command(options: argparse.Namespace) -> list[str] | None:
-    """Return the command that repeats a call of `run` or `study` in bubblewrap; None if it is missing or fails."""
+    """Return the command that repeats this call in bubblewrap; None if bubblewrap is missing or does not work.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Command line of the verb `run` or `study` that `words` are a part of.
+    """
     if (program := shutil.which("bwrap")) is None:
         print_line("no bubblewrap here (Debian: apt-get install bubblewrap): the code runs with all your rights")
         return None

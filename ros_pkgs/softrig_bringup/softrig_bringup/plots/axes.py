@@ -29,7 +29,13 @@ _PUBLISHED: dict[str, Any] = {"color": look.PUBLISHED, "linestyle": ":", "linewi
 
 
 def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
-    """Draw curves over time, those with the most ink below the others, references on top; `scale` is of the axis."""
+    """Draw curves over time, those with the most ink below the others, references on top.
+
+    Parameters
+    ----------
+    scale : float
+        From seconds to the unit of the time axis.
+    """
     ink = [inked(c.y) if c.ink is None else c.ink for c in curves]
     for curve, style, amount in zip(curves, styles(curves), ink, strict=True):
         x, y = _drawn(curve, scale)

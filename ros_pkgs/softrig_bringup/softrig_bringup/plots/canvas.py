@@ -141,7 +141,13 @@ def recorded(method: _Method) -> _Method:
 
 
 class Axis:
-    """One direction of one or several axes: ticks, title, and limits with a free share `margin` beside the data."""
+    """One direction of an axes: limits, which several axes may share, ticks and title.
+
+    Parameters
+    ----------
+    margin : float
+        Share of the data that the limits leave free on either side.
+    """
 
     def __init__(self, margin: float) -> None:
         self.margin = margin

@@ -149,7 +149,13 @@ def reduced(curve: Curve) -> Curve:
 
 
 def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
-    """Cut a curve to a window of time, s, and interpolate at its edges; no value from outside remains."""
+    """Cut a curve to a time window and interpolate at its edges; no value from outside remains.
+
+    Parameters
+    ----------
+    window : (float, float), optional
+        First and last time, s; none leaves the curve as it is.
+    """
     if window is None or not len(curve.x):
         return curve
     x, y = curve.x, curve.y

@@ -15,7 +15,13 @@ if TYPE_CHECKING:
 
 
 def printed(figure: Figure, style: Mapping[str, Any] | None = None) -> Printed:
-    """Redraw a picture with matplotlib; `style` adds to the settings of `softrig_bringup.plots.style`."""
+    """Redraw a picture with matplotlib.
+
+    Parameters
+    ----------
+    style : mapping
+        Settings of matplotlib in addition to those of `softrig_bringup.plots.style`.
+    """
     from matplotlib import rc_context
     from matplotlib.figure import Figure as New
 

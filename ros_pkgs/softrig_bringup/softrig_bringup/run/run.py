@@ -227,7 +227,13 @@ def _once(run: Run) -> list[str]:
 
 
 def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
-    """Describe why the killed lockstep run of some shards cannot be repeated by `rig`; empty if it can."""
+    """Describe why a killed lockstep run cannot be repeated, from its shards; empty if it can.
+
+    Parameters
+    ----------
+    rig : Rig
+        The run that is about to replace it; the two are compared.
+    """
     try:
         recording = read_shards(shards)
         results = [CHANGED] if turned(Run(rig, rig.scenario.seed, recording)) else []
@@ -323,7 +329,13 @@ def save(
 
 
 def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
-    """Add the plots and report.html to the files of `save`; for `also` see `plot_run`."""
+    """Add the plots and report.html to the files of `save`.
+
+    Parameters
+    ----------
+    also : str
+        See `softrig_bringup.plots.pictures.plot_run`.
+    """
     with _writing(folder) as directory:
         if any(topic.number for topic in run.recording.topics.values()):
             plot_run(run.signals, run.rig, directory, also, results=run.results)

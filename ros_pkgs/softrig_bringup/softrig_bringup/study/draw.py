@@ -37,7 +37,13 @@ def seeds_of(study: Study, draft: Draft) -> list[int]:
 
 
 def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[Case]:
-    """Yield the runs of a study one by one: cases outermost, then grid, draws, seeds; for `drafts` see `drafts_of`."""
+    """Yield the runs of a study one by one: cases outermost, then grid, draws, seeds.
+
+    Parameters
+    ----------
+    drafts : mapping, optional
+        Result of `drafts_of`; read from the files by default.
+    """
     # A study that is too large is refused before its draws fill the memory.
     count(study)
     drafts = drafts or drafts_of(study)

@@ -233,7 +233,13 @@ def _era(python: str) -> int:
 
 
 def line(names: Iterable[str]) -> str:
-    """Describe which row of the table in doc/bits.md this machine belongs to, by the `Golden.others` of all bags."""
+    """Describe which row of the table in doc/bits.md this machine belongs to.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Settings that differ from those of the golden bags: `Golden.others` of all of them.
+    """
     differ = set(names)
     if "machine" in differ:
         return "another architecture"
@@ -371,7 +377,10 @@ def _chosen(
 ) -> tuple[Path, dict[str, Recipe | None]]:
     """Return the folder of golden bags and the requested recipes, all read before the first run.
 
-    With `new` a missing recipe is None.
+    Parameters
+    ----------
+    new : bool
+        Whether a recipe may be missing, which is None then.
     """
     folder = options.bags or Path("bags")
     chosen = list(named) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))

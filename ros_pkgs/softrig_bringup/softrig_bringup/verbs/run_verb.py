@@ -200,7 +200,13 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
 
 
 def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
-    """Describe which results of an interrupted run are missing, and how to make them."""
+    """Describe which results of an interrupted run are missing, and how to make them.
+
+    Parameters
+    ----------
+    folder : ResultsFolder or None
+        None: nothing was to be written.
+    """
     if folder is None:
         return "its figures are not judged; run it again"
     path = _shown(folder.path)

@@ -71,7 +71,13 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
 
 
 def rviz_file(rig: Rig, namespace: str = "") -> str:
-    """Return the text of a configuration of RViz for a rig; its `namespace` has a leading slash."""
+    """Return the text of a configuration of RViz for a rig.
+
+    Parameters
+    ----------
+    namespace : str
+        That its nodes are in, with a leading slash.
+    """
     robot, drawn = seen(rig)
     shown = _rviz(f"{namespace}/robot_description" if robot else "", [f"{namespace}/{n}/markers" for n in drawn])
     return json.dumps(shown, indent=1) + "\n"  # JSON is YAML

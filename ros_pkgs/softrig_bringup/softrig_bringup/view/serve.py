@@ -110,7 +110,10 @@ class OneLine(logging.Filter):
 class _Token(AuthProvider):  # type: ignore[misc]
     """Admits a browser that has the token in the address of the page; later a cookie carries the token.
 
-    The page may be requested under `names` (empty: any), because a foreign host name may also resolve to this host.
+    Parameters
+    ----------
+    names : tuple of str
+        Host names under which the page may be requested; empty: any. A foreign host name may also resolve to this host.
     """
 
     def __init__(self, token: str, names: tuple[str, ...]) -> None:

@@ -87,7 +87,13 @@ _EMPTY = Table(np.empty(0), np.empty(0), {})
 
 
 class Pane(Mapping[str, Signal]):
-    """Signals within a time window, from tables by topic, in the form that pictures and figures use."""
+    """Signals within a time window, in the form that pictures and figures use.
+
+    Parameters
+    ----------
+    tables : mapping of str to Table
+        By topic.
+    """
 
     def __init__(self, tables: Mapping[str, Table]) -> None:
         self._tables = tables

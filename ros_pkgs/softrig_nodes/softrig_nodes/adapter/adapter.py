@@ -91,7 +91,13 @@ def _by_hand(block: Block, options: RunOptions) -> Links:
 
 
 class Adapter:
-    """A block as a node; a `sink` gets what it publishes, instead of the file that the options name."""
+    """A block as a node.
+
+    Parameters
+    ----------
+    sink : Sink, optional
+        Gets what the node publishes, instead of the file that the options name.
+    """
 
     drive: Drive
 

@@ -127,7 +127,13 @@ class _Both(Reader):
 
 
 class OverheardTopics:
-    """All topics of external nodes that a node records; their numbers are in the order of `Links.overheard`."""
+    """All topics of external nodes that a node records.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Of the topics in the record, in the order of `Links.overheard`.
+    """
 
     def __init__(self, node: Adapter, numbers: Sequence[int]) -> None:
         self._node = node

@@ -52,7 +52,13 @@ class Frames:
 
 
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
-    """Return the bytes of a tf2_msgs/msg/TFMessage; the stamp is in ns."""
+    """Return the bytes of a tf2_msgs/msg/TFMessage.
+
+    Parameters
+    ----------
+    stamp : int
+        ns.
+    """
     poses = list(poses)
     writer = Writer()
     writer.add("I", len(poses))

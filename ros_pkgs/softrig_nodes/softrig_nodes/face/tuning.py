@@ -16,7 +16,13 @@ from ..ros.ros import ServingNode, plain
 
 
 class Tuning:
-    """Passes changed parameters to the step of a node, all of a call or none."""
+    """Passes changed parameters to the step of a node, all of a call or none.
+
+    Parameters
+    ----------
+    node : ServingNode
+        The node that declares the parameters.
+    """
 
     def __init__(self, node: ServingNode, adapter: Adapter) -> None:
         self._node, self._adapter = node, adapter

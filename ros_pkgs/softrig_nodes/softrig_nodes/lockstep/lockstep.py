@@ -38,7 +38,13 @@ REPORT_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begi
 
 
 class Lockstep(Link):
-    """Makes the ticks of a node ready when the messages of its peers in other processes have arrived."""
+    """Makes the ticks of a node ready when the messages of its peers in other processes have arrived.
+
+    Parameters
+    ----------
+    turns : Turns
+        The loop of this process.
+    """
 
     # In lockstep no tick has a deadline, and the runner recognises a waiting node by two statuses with the same tick.
     status_every = 1
@@ -70,7 +76,13 @@ class Lockstep(Link):
         self.last_published = LastPublished(node) if node.links.returns else None
 
     def join(self, local: Set[str]) -> None:
-        """Wait for the peers that are not in this process; `local` are its other nodes."""
+        """Wait for the peers that are not in this process.
+
+        Parameters
+        ----------
+        local : set of str
+            Names of the other nodes of this process.
+        """
         node, senders, links = self.node, self.senders, self.node.links
         senders.without(local)
         if links.clock is not None and links.clock.node not in local:

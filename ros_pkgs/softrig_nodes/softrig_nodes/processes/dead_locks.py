@@ -41,7 +41,13 @@ class HeldMutex(NamedTuple):
 
 
 class DeadLocks:
-    """The mutexes in the ports of a domain, which are files of a folder; `release` is called again and again."""
+    """The mutexes in the ports of a domain; `release` is called again and again.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the ports are.
+    """
 
     def __init__(self, folder: Path = FOLDER) -> None:
         self._folder = folder

@@ -99,7 +99,13 @@ class Forked:
 
 
 class ForkServer:
-    """A server of this process for one environment (see `OWN`): it ends with this process, and its nodes with it."""
+    """A server of this process: it ends with this process, and its nodes with it.
+
+    Parameters
+    ----------
+    variables : mapping
+        Environment of its nodes, as far as it is not in `OWN`.
+    """
 
     def __init__(self, variables: Mapping[str, str]) -> None:
         self._key = _key(variables)

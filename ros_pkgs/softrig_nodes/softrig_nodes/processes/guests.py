@@ -53,7 +53,10 @@ class Guests:
     def check(self, states: Mapping[str, Mapping[str, Any]]) -> None:
         """Report nodes that have joined since the last call and, once, what prevents others from joining.
 
-        `states` has the status of each of our nodes, by name (`softrig_nodes.adapter.account.Account.write_status`).
+        Parameters
+        ----------
+        states : mapping
+            Status of each of our nodes, by name (`softrig_nodes.adapter.adapter.Adapter.status`).
         """
         if not self._needed:
             return

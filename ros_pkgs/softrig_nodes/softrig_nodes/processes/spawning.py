@@ -84,7 +84,13 @@ class Started(NamedTuple):
 
 
 def start(run: Started, group: list[Member], *, again: bool = False) -> list[Child]:
-    """Start a node, or several in a container; `again` if it has died."""
+    """Start a node, or several in a container.
+
+    Parameters
+    ----------
+    again : bool
+        Whether it died and is started again.
+    """
     rig, seed, directory, options, record, variables, recorders, returns = run
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
     parameters = {}
@@ -174,7 +180,13 @@ def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) 
 
 
 def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Path) -> Path:
-    """Write the parameters of a node, as returned by `node_parameters`, to a file for `--params-file`."""
+    """Write the parameters of a node to a file for `--params-file`.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Parameters, as returned by `node_parameters`.
+    """
     file = directory / f"{member.name}.params.yaml"
     # JSON is YAML, and `json.dumps` quotes each text, so that a text such as `no` stays a text.
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]

@@ -217,7 +217,10 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
 def blamed(waits: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the nodes whose errors show the cause: those that waited for no node, or for one that has not failed.
 
-    `waits` has the nodes that each failed node waited for, by its name.
+    Parameters
+    ----------
+    waits : by node name
+        The nodes that each failed node waited for.
     """
     causes = [n for n, senders in waits.items() if not all(sender in waits for sender in senders) or not senders]
     return causes or list(waits)[:1]

@@ -11,7 +11,13 @@ from .live import KEPT, Live, LiveSenders
 
 
 class Answering:
-    """The ticks of a controller that have begun; `answer` gets the time of the one that must run now, ns from t = 0."""
+    """The ticks of a controller that have begun.
+
+    Parameters
+    ----------
+    answer : callable
+        Called with the time of the tick that must run now, ns from t = 0.
+    """
 
     def __init__(self, table: LiveSenders, answer: Callable[[int], object]) -> None:
         self._node = node = table.node

@@ -20,7 +20,13 @@ NEVER = 2**63 - 1
 
 
 class Stand:
-    """Pauses and resumes the clock of a node; `goes_by` gets the clock to use from now on."""
+    """Pauses and resumes the clock of a node.
+
+    Parameters
+    ----------
+    goes_by : callable
+        Gets the clock that the node uses from now on: a function that returns ns.
+    """
 
     def __init__(self, node: Adapter, goes_by: Callable[[Callable[[], int]], object]) -> None:
         self._node, self._goes_by = node, goes_by

@@ -323,7 +323,13 @@ Arguments = ParamSpec("Arguments")
 
 
 def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
-    """End a callback silently if a signal has shut the context down; the executor would log its stack."""
+    """End a callback silently if a signal has shut the context down; the executor would log its stack.
+
+    Parameters
+    ----------
+    callback : callable
+        Of a timer or a subscription; it may publish.
+    """
 
     # rclpy inspects the signature of a callback.
     @wraps(callback)

@@ -32,7 +32,13 @@ def left_out(recorder: str, topics: Iterable[str]) -> bytes:
 
 
 class Awaited(Reader):
-    """The recorders that must read the first message of each topic of a node; those `named` read everything."""
+    """The recorders that must read the first message of each topic of a node.
+
+    Parameters
+    ----------
+    named : sequence of str
+        Nodes that read everything.
+    """
 
     def __init__(self, middleware: Middleware, named: Sequence[str]) -> None:
         self._middleware = middleware

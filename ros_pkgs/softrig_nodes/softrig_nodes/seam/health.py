@@ -18,7 +18,13 @@ _renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
 
 
 class StatusFile:
-    """The file in which a node reports its status, as JSON; with an empty path none is written."""
+    """The file in which a node reports its status, as JSON.
+
+    Parameters
+    ----------
+    path : str
+        Path of the file; if empty, none is written.
+    """
 
     def __init__(self, path: str) -> None:
         self._path = Path(path)

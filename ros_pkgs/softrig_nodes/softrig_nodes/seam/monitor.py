@@ -52,7 +52,10 @@ class Monitor:
     def arrive(self, work: Callable[[], object]) -> None:
         """Run some work now, or when other work has returned; callable from any thread, which it never blocks.
 
-        It takes a message and processes it; an exception in it is raised by `serve`.
+        Parameters
+        ----------
+        work : callable
+            Takes a message and processes it. An exception in it is raised by `serve`.
         """
         arrived, lock = self._arrived, self._lock
         arrived.append(work)
