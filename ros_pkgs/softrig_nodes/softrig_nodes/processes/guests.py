@@ -56,7 +56,7 @@ class Guests:
         Parameters
         ----------
         states : mapping
-            Status of each of our nodes, by name (`softrig_nodes.adapter.adapter.Adapter.status`).
+            Status of each of our nodes, by name (`softrig_nodes.adapter.account.Account.status`).
         """
         if not self._needed:
             return
