@@ -80,13 +80,7 @@ class _Link(NamedTuple):
 
 
 def _links(nodes: Sequence[Adapter]) -> list[_Link]:
-    """Find which nodes subscribe to which other nodes of the process.
-
-    Raises
-    ------
-    RunError
-        Two ports of a topic do not match, or two nodes publish it.
-    """
+    """Find which nodes of the process read which; RunError if two ports do not match, or two nodes publish a topic."""
     written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
     for node in nodes:
         for output in node.outgoing.outputs:

@@ -53,13 +53,7 @@ def write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: s
 
 
 def _standing_alone(text: str, file: Path) -> Scenario:
-    """Load a scenario file before it is moved into place, so that a file that cannot run is never placed there.
-
-    Raises
-    ------
-    ScenarioError
-        The scenario cannot run by itself.
-    """
+    """Load a scenario file before it is moved into place; ScenarioError if it cannot run by itself."""
     with TemporaryDirectory() as folder:
         draft = Path(folder) / file.name
         draft.write_text(text)

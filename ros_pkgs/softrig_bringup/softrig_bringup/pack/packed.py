@@ -109,13 +109,7 @@ def placeless(value: Any) -> Any:
 
 
 def about(folder: Path) -> About:
-    """Read the ``pack.json`` of an unpacked file.
-
-    Raises
-    ------
-    ScenarioError
-        It is missing or has another form.
-    """
+    """Read the ``pack.json`` of an unpacked file; ScenarioError if it is missing or has another form."""
     try:
         return About.model_validate_json((folder / ABOUT).read_bytes())
     except OSError:

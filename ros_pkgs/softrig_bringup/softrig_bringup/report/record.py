@@ -125,13 +125,7 @@ class RunRecord(Data):
 
 
 def read_run(directory: Path) -> RunRecord:
-    """Read ``metrics.json`` of a run directory.
-
-    Raises
-    ------
-    ScenarioError
-        No such file, not JSON, or a key is missing or of the wrong type; names file and key.
-    """
+    """Read ``metrics.json`` of a run directory; a ScenarioError names file, and missing or wrong key."""
     path = directory / "metrics.json"
     try:
         return record_of(json_of(path.read_text()), str(path))
@@ -144,13 +138,7 @@ def read_run(directory: Path) -> RunRecord:
 
 
 def record_of(content: Any, source: str) -> RunRecord:
-    """Check the content of a metrics.json.
-
-    Raises
-    ------
-    ScenarioError
-        A key is missing or of the wrong type; names `source` and key.
-    """
+    """Check the content of a metrics.json; a ScenarioError names `source`, and the key that is missing or wrong."""
     try:
         record = RunRecord.read(content)
         for status in record.nodes.values():

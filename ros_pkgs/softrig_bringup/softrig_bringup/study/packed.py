@@ -25,13 +25,7 @@ ROWS = "rows.jsonl"
 
 
 def of_folder(folder: Path) -> Study:
-    """Read the definition of the study whose results are in a folder.
-
-    Raises
-    ------
-    ScenarioError
-        It has none, or a scenario, code or file of it has changed since.
-    """
+    """Read the definition of the study whose results are in a folder; ScenarioError if it is missing or has changed."""
     if not (folder / FILE).is_file():
         raise ScenarioError(f"{folder}: no {FILE} in it, expected results of a study; run it again to write that file")
     study = make_study(read_mapping(folder / FILE))

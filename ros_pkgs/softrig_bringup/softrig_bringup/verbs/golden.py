@@ -251,13 +251,7 @@ def line(names: Iterable[str]) -> str:
 
 
 def _check_folder(bag: Path) -> None:
-    """Check that a folder, if it exists, contains a bag and nothing else.
-
-    Raises
-    ------
-    ScenarioError
-        Names what is not of a bag.
-    """
+    """Check that a folder, if it exists, contains a bag and nothing else; a ScenarioError names what is not of one."""
     foreign = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
     if bag.is_symlink() or foreign or (bag.exists() and not bag.is_dir()):
         raise ScenarioError(f"{foreign[0] if foreign else bag} was not made by `softrig golden`; move it away")

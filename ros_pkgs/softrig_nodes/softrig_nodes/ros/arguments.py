@@ -25,13 +25,7 @@ _FORMS = {
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
-    """Raise errors of rclpy about arguments and names as a ValueError with one line.
-
-    Raises
-    ------
-    ValueError
-        An argument is unknown or has another form, or a name is none.
-    """
+    """Raise errors of rclpy about arguments and names as a ValueError with one line."""
     with warnings.catch_warnings():
         # Before the error itself rclpy warns that it cannot clean up a half-created node.
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -42,13 +36,7 @@ def plain_errors() -> Iterator[None]:
 
 
 def non_ros_arguments(argv: Sequence[str]) -> list[str]:
-    """Return the arguments after the first that are not ROS arguments.
-
-    Raises
-    ------
-    ValueError
-        One of ROS's arguments is invalid.
-    """
+    """Return the arguments after the first that are not ROS arguments; ValueError if one of ROS's is invalid."""
     # Otherwise rcl also logs the error that is raised here.
     set_logger_level("rcl", LoggingSeverity.FATAL)
     try:
