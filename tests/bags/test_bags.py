@@ -645,7 +645,7 @@ def test_a_truncated_database_with_pages_that_refer_to_missing_ones_is_refused(t
     """A crash of the recorder does not truncate a database: its journal undoes what was not committed."""
     write_bag(tmp_path / "bag", recording(ticks=20_000), storage="sqlite3")
     cut(tmp_path / "bag", 0.6)
-    with pytest.raises(BagError, match=r"not one whole message in it; `sqlite3 FILE .recover` may find rows"):
+    with pytest.raises(BagError, match=r"no complete message in it; `sqlite3 FILE .recover` may find rows"):
         repair(tmp_path / "bag")
     assert not (tmp_path / "bag.damaged").exists()
 
@@ -882,7 +882,7 @@ def test_repair_refuses_files_that_it_cannot_save(tmp_path):
         repair(tmp_path)
     write_bag(tmp_path / "bag", recording())
     cut(tmp_path / "bag", 0.01)
-    with pytest.raises(BagError, match="not one whole message"):
+    with pytest.raises(BagError, match="no complete message"):
         repair(tmp_path / "bag")
     (tmp_path / "bag.damaged").mkdir()
     with pytest.raises(BagError, match="exists already"):

@@ -107,7 +107,7 @@ def test_damage_beyond_repair_is_reported_in_one_line(tmp_path, capsys, suffix):
     assert main_bag(["repair", str(tmp_path / "bag")]) == 2
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1
-    assert "not one whole message" in printed
+    assert "no complete message" in printed
     assert sorted(tmp_path.rglob("*")) == before
 
 

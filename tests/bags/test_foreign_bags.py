@@ -499,7 +499,7 @@ def test_wide_texts_of_two_and_four_bytes_a_character_are_read(width):
         ("float64 x", b"\0\1\0\0" + bytes(7), "ends within x"),
         ("float64 x", b"\0\1\0\0" + bytes(12), "4 bytes longer"),
         ("float64 x", b"\0\7\0\0" + bytes(8), "begin with 00070000"),
-        ("float64 x", b'{"x": 1}', "no CDR"),
+        ("float64 x", b'{"x": 1}', "not CDR"),
         ("float64 x", b"", "begin with nothing"),
         ("float64[] x", b"\0\1\0\0" + b"\xff" * 4, "claims 4294967295 elements"),
         ("string x", b"\0\1\0\0" + b"\x09\0\0\0abc", "ends within x"),

@@ -273,8 +273,8 @@ def test_lost_missed_and_held_messages_are_reported_in_one_line(made):
     now[0] = 3.25
     recorder._discover()
     assert node.errors == [
-        "this process was held for 3.2 s after message 4: publishers may have taken it for dead, and what they sent "
-        "then is neither here nor counted"
+        "this process was held for 3.2 s after message 4: publishers may have considered it dead; messages that "
+        "they published then are neither recorded nor counted"
     ]
     assert writer.custom_data["held"] == "3.2 s after message 4"
     held = "HELD for 3.2 s after message 4: what was sent then may be missing"
@@ -474,6 +474,6 @@ def test_options_are_parameters_that_accept_only_their_own_value(session):
         with pytest.raises(BagError) as refused:
             session({name: value})
         assert str(refused.value) == (
-            f"parameter {name} cannot be set to {value} by ROS arguments; what can be set are the options that --help "
-            "shows"
+            f"parameter {name} cannot be set to {value} by ROS arguments; the options that can be set are "
+            "those of --help"
         )

@@ -172,7 +172,7 @@ def stream(content):
         (len(TEXT) - 1, "lz4", lz4(TEXT), "that it claims"),
         (4, "", b"1234", ""),
         (3, "", b"1234", "that it claims"),
-        (LIMIT + 1, "", b"1", "expected the truth and at most"),
+        (LIMIT + 1, "", b"1", "expected the actual size and at most"),
         (4, "zstd", b"1234", "claims"),
         (4, "bz2", b"1234", "compressed by 'bz2'"),
     ],

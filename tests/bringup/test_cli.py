@@ -257,7 +257,7 @@ def test_a_report_distinguishes_runs_and_names_what_it_leaves_out(folder):
     assert '<a href="#run-2">1.3</a>' in page
     assert "lag, gain.k=1.3" in page
     assert "compared, not judged" in page
-    assert "Left out, for want of a metrics.json: empty" in page
+    assert "Left out, without a metrics.json: empty" in page
     assert main(["report", "empty"]) == 2
     assert main(["report", "1.2", "--label", "soft", "--label", "hard", "--out", "one.html"]) == 2
     assert main(["report", "1.2", "1.3", "--label", "soft", "--out", "all.html"]) == 0
@@ -365,7 +365,7 @@ def test_work_that_was_late_is_named_first(folder, monkeypatch, capsys):
 
     monkeypatch.setattr("softrig_bringup.verbs.run_verb.execute", late)
     run("lag", "--realtime", "--no-record", "--no-plots")
-    text = "the machine did not keep up: the work of gain was not done at 3 of its ticks when it was due; "
+    text = "the machine did not keep up: the result of gain was late at 3 of its ticks; "
     assert capsys.readouterr().err.startswith(f"softrig: {text}the figures are of a slower loop\n")
 
 

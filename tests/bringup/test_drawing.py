@@ -259,8 +259,8 @@ def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
     ("words", "text"),
     [
         (["induction_dtc_short", "-o", "film.mp4"], "expected a file that ends with .svg, .gif, .webp, .png"),
-        (["induction_dtc_short", "--to", "5e-324"], "expected a stretch of the run, which is 0.1 s long"),
-        (["induction_dtc_short", "--from", "0.2"], "expected a stretch of the run, which is 0.1 s long"),
+        (["induction_dtc_short", "--to", "5e-324"], "expected a part of the run, which is 0.1 s long"),
+        (["induction_dtc_short", "--from", "0.2"], "expected a part of the run, which is 0.1 s long"),
         (["induction_dtc_short", "--speed", "1e-4"], "use a speed of 0.02 or a shorter window"),
         (["induction_dtc_short", "--speed", "10"], "less than two frames of 1/20 s"),
         (["rectifier_mpc_certificate"], "no drawing of"),

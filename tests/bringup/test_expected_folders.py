@@ -508,7 +508,8 @@ def test_a_pack_has_a_limit_of_size_and_number_of_files(files, size, fits, tmp_p
     made = pack._Pack(content, about, ())
     if not fits:
         with pytest.raises(
-            ScenarioError, match=rf"{files} files of \d+ bytes in all, expected at most 2 of {100 + head}; --no-bag\?"
+            ScenarioError,
+            match=rf"{files} files of \d+ bytes in all, expected at most 2 of {100 + head}; --no-bag",
         ):
             pack.write(made, tmp_path / "x.zip")
         assert list(tmp_path.iterdir()) == []
@@ -600,7 +601,7 @@ def test_packages_that_are_missing_are_named():
     for names, text in (
         (["json", "pump_rig"], "x: it needs package pump_rig, not installed here"),
         (["pump_rig", "json", "tank_rig"], "x: it needs packages pump_rig, tank_rig, not installed here"),
-        (["<stdin>", "pump_rig"], "x: <stdin> was typed, not imported: only a package can be repeated"),
+        (["<stdin>", "pump_rig"], "x: <stdin> was defined interactively: only blocks of a package can be repeated"),
     ):
         with pytest.raises(ScenarioError, match=f"^{text}"):
             packed.need_packages("x", names)
@@ -800,4 +801,8 @@ def test_a_topic_with_rare_external_messages_has_no_message_twice(lag):
         ([20_000_000, 10_000_000], "0.01"),
     ):
         text = runs.gaps(rig, spoken(run, sporadic, times))
-        assert text == (f"{sporadic}: a message at t = {wrong} s, which is no tick or not a later one" if wrong else "")
+        assert text == (
+            f"{sporadic}: a message at t = {wrong} s, which is not a tick, or not after the last message"
+            if wrong
+            else ""
+        )

@@ -588,7 +588,7 @@ def test_a_film_shows_a_part_of_its_run(start, end, length, window):
     if window is None:
         with pytest.raises(
             ScenarioError,
-            match=rf"--from {start:g} s to .* s: expected a stretch of the run, which is {length:g} s long",
+            match=rf"--from {start:g} s to .* s: expected a part of the run, which is {length:g} s long",
         ):
             animate._window(start, end, length)
     else:
@@ -696,7 +696,7 @@ def test_names_of_packages_are_checked(lag, taken):
             new.new_package(name, lag / "x")
     for make in (Path.mkdir, lambda path: path.symlink_to("nowhere")):
         make(lag / "x" / (name := f"there_{make is Path.mkdir:d}"))
-        with pytest.raises(ScenarioError, match="is there already; choose another name"):
+        with pytest.raises(ScenarioError, match="exists already; choose another name"):
             new.new_package(name, lag / "x")
 
 
@@ -819,7 +819,7 @@ def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
     assert go() == 0
     printed = capsys.readouterr().err.splitlines()
     assert printed[0] == "softrig: gain here, domain 7; elsewhere: plant, source"
-    assert printed[1].startswith("softrig: recorded in runs/lag-gain/log; a bag of the whole rig: the .shard files")
+    assert printed[1].startswith("softrig: recorded in runs/lag-gain/log; for a bag of the whole rig, copy")
     (of, seed, log, placement, listener) = asked[0]
     assert (of, seed, log, placement.only, placement.domain, placement.wait) == (
         rig,
@@ -843,7 +843,7 @@ def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
             ["--only", "gian"],
             "--only gian: no such node .did you mean 'gain'.*; those to be started are plant, source, gain",
         ),
-        (["--mode", "inprocess"], "--only: blocks in process have no other machine"),
+        (["--mode", "inprocess"], "--only: in process all blocks run on one machine"),
     ):
         with pytest.raises(ScenarioError, match=why):
             go(*more)
@@ -893,8 +893,8 @@ def test_the_command_line_passes_on_arguments_of_other_parsers(monkeypatch, caps
     assert capsys.readouterr().out == "bag ['info', 'x']\nplay ['x', '--y']\n"
     for words, message in (
         (["plot", "x"], "`softrig plot` is `softrig draw plot RUN` now"),
-        (["setup"], "are of scripts/softrig"),
-        (["env"], "are of scripts/softrig"),
+        (["setup"], "need scripts/softrig"),
+        (["env"], "need scripts/softrig"),
     ):
         assert main(words) == 2
         assert message in capsys.readouterr().err
@@ -1220,8 +1220,8 @@ def test_the_steps_of_a_run_are_in_order(flow, lag, capsys):
     assert main(["run", "lag", "--only", "gain", "--domain", "5"]) == 8
     assert steps == [("prepare",), ("part", ["gain"])]
     for words, text in (
-        (["run", "lag", "--realtime", "--mode", "inprocess"], "blocks in process know no wall clock"),
-        (["view", "lag", "--only", "gain"], "view shows a whole rig, which --only is not"),
+        (["run", "lag", "--realtime", "--mode", "inprocess"], "runs in process have no wall clock"),
+        (["view", "lag", "--only", "gain"], "--only: view needs a whole rig"),
     ):
         steps.clear()
         assert main(words) == 2

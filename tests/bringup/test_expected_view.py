@@ -657,7 +657,7 @@ KIND = {
             "1.5 of 6 s, running at 2 of the wall's pace, of which this machine reaches 1.2",
             "soft",
         ),
-        ({"thinned": True}, "1.5 of 6 s, running; of what is old only the extremes are kept", "soft"),
+        ({"thinned": True}, "1.5 of 6 s, running; older samples are reduced to their extremes", "soft"),
         ({"outcome": "ended"}, "the run is over: 1.5 s, ended; its knobs act no more", "over"),
         ({"outcome": "ended", "goes_back": True}, "the run is over: 1.5 s, ended; go back and turn a knob", "over"),
         ({"outcome": "recorded", "live": False}, "1.5 s, recorded", "soft"),

@@ -105,7 +105,7 @@ def test_a_disturbance_added_to_a_signal_is_a_fault_and_its_worst_profile_is_fou
         ("plant.R", "1", r"expected LOW\.\.HIGH"),
         ("motor/state/shaft/velocity", "0..1", "a signal needs a profile, such as 0..1.6"),
         ("plant.load_torques", "0..1*0", "expected 1 to 50 numbers, got 0"),
-        ("plant.R+", "0..1", "only to signals can be added"),
+        ("plant.R+", "0..1", "only signals can be added to"),
         ("plnt.R", "0..1", "did you mean plant.R"),
         ("plant.Rr", "0..1", "plant has no parameter 'Rr' .did you mean 'R'"),
         ("plant.load_torques", "0..1", "a list of 1: a number is searched"),
@@ -242,7 +242,7 @@ def test_bounds_of_another_machine_are_judged_only_on_request(file, tmp_path, ca
     few = ["--over", "dc_motor_plant.R=0.6..0.7", "--budget", "2", "--workers", "1", "--no-plots"]
     assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 2
     error = capsys.readouterr().err
-    assert "no requirement follows the machine; tracking: published for dc_motor_plant.R = 0.4; expected --str" in error
+    assert "all requirements (tracking) are published for dc_motor_plant.R = 0.4; expected --str" in error
     assert not (tmp_path / "a").exists()
     file.write_text(f"{FILE}  limited: always abs(speed) <= 10 * set_point\n")
     assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 0
@@ -270,7 +270,7 @@ def test_a_search_without_a_completed_run_has_no_verdict(file, tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ([], "over what?"),
+        ([], "nothing to search over"),
         (["--over", "dc_motor_plant.R=2..1"], "2 is above 1"),
         (["--over", "dc_motor_plant.R=1..2", "--budget", "0"], "--budget"),
         (["--over", "dc_motor_plant.R=1..2", "--requirement", "trackin"], "did you mean 'tracking'"),

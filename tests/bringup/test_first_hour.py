@@ -310,7 +310,7 @@ def test_a_law_or_a_plant_alone_runs_as_it_is_written(user, kind):
 def test_no_file_is_overwritten(tmp_path, capsys):
     (tmp_path / "heater").mkdir()
     assert main(["new", "heater", "--into", str(tmp_path)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert not list((tmp_path / "heater").iterdir())
 
 

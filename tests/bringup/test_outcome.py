@@ -240,7 +240,7 @@ def test_the_requirements_of_a_scenario_that_can_be_searched_are_as_expected():
     unbound = "no bound that a run could violate; it needs an entry expect: "
     for scenario, wanted, text in (
         (bare, [], "test has no requirements; it needs an entry requirements: NAME: FORMULA, or --requirement FIGURE "
-                   "of which a bound is expected"),
+                   "with an expected bound"),
         (judged, ["both"], f"test: figure both has an expectation on both sides, {unbound}both: at most NUMBER "
                           "(or at least NUMBER)"),
         (judged, ["none"], f"test: figure none has no expectation, {unbound}none: at most NUMBER (or at least NUMBER)"),

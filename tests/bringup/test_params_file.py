@@ -149,8 +149,8 @@ def test_sections_of_other_nodes_are_skipped_and_reported(tmp_path, capfd):
     assert params_of(file, NODES, "left") == {"law.k": 2.0}
     assert params_of(file, NODES, "/right/") == {"law.k": 9.0}
     printed = capfd.readouterr().err.splitlines()
-    assert printed[0].endswith("passed over what is of no node of this rig: /right/law")
-    assert printed[1].endswith("passed over what is of no node of this rig: /left/law")
+    assert printed[0].endswith("ignored entries of nodes that this rig does not have: /right/law")
+    assert printed[1].endswith("ignored entries of nodes that this rig does not have: /left/law")
     with pytest.raises(ScenarioError, match=r"no such node .of another namespace: --namespace NS"):
         params_of(file, NODES)
 

@@ -141,7 +141,7 @@ def test_looking_at_a_pack_runs_none_of_its_code(made, tmp_path, capsys, monkeyp
     file = zipped(tmp_path / "x.zip", evil)
     path = list(sys.path)
     assert main(["report", str(file)]) == 0
-    assert f"the code of {NAME} had to run" in capsys.readouterr().err
+    assert f"computing them needs code: {NAME}" in capsys.readouterr().err
     assert main(["draw", "plot", str(file), "--format", "svg", "--out", "pictures"]) == 0
     assert len(list((tmp_path / "pictures").glob("*.svg"))) == 2
     assert main(["pack", str(file)]) == 2
@@ -230,7 +230,7 @@ SETUP = f"packages/{NAME}/setup.cfg"
         (SETUP, f"{NAME}_plant =", "../../x =", "expected NAME = "),
         (SETUP, "console_scripts", "softrig_preloaded", "entry points of 'softrig_preloaded'"),
         (SETUP, "console_scripts", "softrig_figures =\n    rise_time = stranger_rig.plant:tool\nconsole_scripts",
-         "the figure function rise_time is there already"),
+         "the figure function rise_time exists already"),
         (SETUP, f"name = {NAME}", "name = softrig_core", "name = 'softrig_core', expected"),
         (SETUP, "[options]", "[options", "setup.cfg: "),
         (f"scenario/{NAME}.yaml", f"package: {NAME}", "package: pip", "which pack.json does not name"),
@@ -339,7 +339,7 @@ def test_a_node_in_c_is_code_and_looking_at_it_compiles_nothing(tmp_path, capsys
     (tmp_path / "cc").chmod(0o755)
     capsys.readouterr()
     assert main(["report", str(file)]) == 0
-    assert "the code of law had to run" in capsys.readouterr().err
+    assert "computing them needs code: law" in capsys.readouterr().err
     assert main(["draw", "plot", str(file), "--format", "svg", "--out", "pictures"]) == 0
     assert main(["pack", str(file)]) == 2
     assert run(file) == 2

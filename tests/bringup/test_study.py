@@ -142,7 +142,7 @@ def test_long_names_of_folders_stay_distinct():
         ({"seeds": 0}, "expected 1 to 1000000 seeds"),
         ({"draws": {"count": 10**10, "parameters": {"a": {"uniform": [0, 1]}}}}, "draws.count"),
         ({"search": {"figure": "f", "count": 10**10, "parameters": {"a": {"uniform": [0, 1]}}}}, "search.count"),
-        ({"summaries": {"s": {"figure": "last", "statistic": "share"}}}, "share, which needs it"),
+        ({"summaries": {"s": {"figure": "last", "statistic": "share"}}}, "share, and allowed only there"),
         ({"expect": {"s": "at most 1"}}, "expect: no summary 's'"),
         (
             {"grid": {"a": [1]}, "search": {"figure": "f", "count": 1, "parameters": {"a": {"uniform": [0, 1]}}}},
@@ -677,7 +677,7 @@ def test_an_unknown_name_or_option_is_one_line(capsys):
         "lag --grid gain.k=": "--grid 'gain.k=': expected NAME=",
         "lag --draw gain.k=1": "gain.k=1: expected LOW..HIGH",
         "lag --draw gain.k=3..1": "gain.k=3..1: 3 is above 1",
-        "lag --draw gain.k=0..1~3": "gain.k=0..1~3: a parameter has no course",
+        "lag --draw gain.k=0..1~3": "gain.k=0..1~3: a parameter has no time profile",
         "lag --grid gain.k=[1": "gain.k=[1: not valid YAML",
         "lag --grid gain.k=1 plant.gain=2": "unexpected argument 'plant.gain=2'; each NAME=... has its own option",
     }.items():

@@ -604,7 +604,7 @@ def test_options_of_a_study_are_its_keys(words, result):
     ("words", "text"),
     [
         ("--search f --subject-to g=5", "--subject-to 'g=5': expected FIGURE <= NUMBER or FIGURE >= NUMBER"),
-        ("--draw a.x=1..2~3", "a.x=1..2~3: a parameter has no course, expected LOW..HIGH*N for a list"),
+        ("--draw a.x=1..2~3", "a.x=1..2~3: a parameter has no time profile, expected LOW..HIGH*N for a list"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(words, text):

@@ -228,14 +228,14 @@ def test_seeds_that_change_nothing_are_one_run(draws):
     definition = study(seeds=40, **draws)
     result = statistics(definition, list(rows_of(definition, lambda case, k, point, seed: 1.0 + k)), {})
     assert [line.n for line in result.lines] == ([4] if draws else [])
-    assert result.notes[0] == "the 40 seeds are one run: its nodes draw no random number that a figure depends on"
+    assert result.notes[0] == "the 40 seeds give the same run: no random number affects a figure"
     only = statistics(
         study(seeds=3, cases={"a": {}, "b": {}}),
         list(rows_of(study(seeds=3), lambda case, k, point, seed: seed if case == "b" else 1.0, "ab")),
         {},
     )
     assert [(line.group, line.n) for line in only.lines] == [("b", 3)]
-    assert only.notes[0].startswith("the 3 seeds of a are one run")
+    assert only.notes[0].startswith("the 3 seeds of a give the same run")
 
 
 def test_each_grid_point_is_a_separate_sample():
@@ -325,10 +325,10 @@ def test_a_study_of_two_laws_reports_all_of_this_by_default(folder, capsys):  # 
 def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder, capsys):  # noqa: F811
     words = ["study", "lag", "--seeds", "3", "--duration", "0.05", "--workers", "1", "--out", "out"]
     assert main(words) == 2
-    assert "lag: 3 seeds are one run, as no node draws a random number" in capsys.readouterr().err
+    assert "lag: 3 seeds give the same run, as no random number affects" in capsys.readouterr().err
     assert not (folder / "out").exists()
     assert main([*words, "--force"]) == 0
-    assert "the 3 seeds are one run" in capsys.readouterr().out
+    assert "the 3 seeds give the same run" in capsys.readouterr().out
     noisy = (folder / "scenarios" / "lag.yaml").read_text()
     noisy += "faults: {noise: {link: lag/state, kind: noise, channels: [x], value: [0.02]}}\n"
     (folder / "scenarios" / "noisy.yaml").write_text(noisy)
@@ -347,9 +347,9 @@ def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder,
         ),
         ("--draw gain.k=1..2 --sensitivity --draws 3", "sensitivity: expected a power of two, as 2 or 4, got 3 draws"),
         ("--sensitivity", "--sensitivity: of what --draw names"),
-        ("--search last --draw gain.k=1..2 --against lag_breaks", "search: goes with seeds alone"),
+        ("--search last --draw gain.k=1..2 --against lag_breaks", "search: can be combined with seeds"),
         ("--search last --draw gain.k=1..2 --sensitivity", "--sensitivity: goes with no --search"),
-        ("--against lag", "--against lag: it is that scenario itself"),
+        ("--against lag", "--against lag: it is the scenario itself"),
     ],
 )
 def test_contradictory_requests_are_refused(words, text):

@@ -437,7 +437,7 @@ def test_only_requests_with_the_token_are_accepted(tmp_path, at):
             "view?token=%C3%A4",
             "view/autoload.js?bokeh-autoload-element=1",
         ):
-            with pytest.raises(HTTPError, match="403: the address of the page with its token is wanted"):
+            with pytest.raises(HTTPError, match="403: expected the address of the page with its token"):
                 urlopen(base + wanted)
         for text in ({}, {"token": "wrong"}):
             with pytest.raises(OSError, match="error code: 403"):
@@ -448,7 +448,7 @@ def test_only_requests_with_the_token_are_accepted(tmp_path, at):
         assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()
         evil = Request(f"{base}view?token={token}", headers={"Host": f"evil.example:{urlsplit(base).port}"})
         if at.startswith("127"):  # a foreign host name can resolve to this address
-            with pytest.raises(HTTPError, match="403: the page is of this host only, expected its own address"):
+            with pytest.raises(HTTPError, match="403: the page is served to this host only, expected its own address"):
                 urlopen(evil)
         else:
             assert urlopen(evil).status == 200

@@ -324,7 +324,7 @@ def test_actions_on_a_rig_in_the_process_of_its_page_are_reported(tmp_path, cloc
         act()
         messages.append((control.entries[-1].text, control.entries[-1].wrong, round(source.session.t, 9)))
     assert messages[:4] == [
-        ("step refused: it runs: pause it first", True, 1e-4),
+        ("step refused: the run is not paused; pause it first", True, 1e-4),
         ("pause: paused", False, 1e-4),
         ("step: one step", False, 2e-4),
         ("resume: goes on", False, 2e-4),
@@ -333,7 +333,7 @@ def test_actions_on_a_rig_in_the_process_of_its_page_are_reported(tmp_path, cloc
     assert messages[4][1:] == (True, 2e-4)
     assert messages[5][0].startswith("dc_motor_smc.delta = 0.5")
     assert messages[6][1:] == (True, 2e-4)
-    assert messages[7] == ("back to 0.0001 s from 0.0002 s: what is turned holds from there on", False, 1e-4)
+    assert messages[7] == ("back to 0.0001 s from 0.0002 s: changes made now apply from there on", False, 1e-4)
     assert control.held
     assert source.status["dc_motor_plant"]["state"] == "running"
     assert source.branched == [{"at_s": 1e-4, "from_s": 2e-4, "left": ""}]  # without a folder the branch is not saved
@@ -503,10 +503,20 @@ def asked(host="127.0.0.1", token="", cookie=""):
         (("localhost",), {"host": "localhost", "token": "right"}, "", True),
         (("localhost", "::1"), {"host": "[::1]", "cookie": "right"}, "", False),
         ((), {"host": "anywhere.example", "token": "right"}, "", True),
-        (("localhost",), {"host": "evil.example", "token": "right"}, "the page is of this host only", False),
-        (("localhost",), {"host": "localhost"}, "with its token is wanted", False),
-        (("localhost",), {"host": "localhost", "token": "wrong", "cookie": "right"}, "with its token is wanted", False),
-        (("localhost",), {"host": "localhost", "cookie": "wrong"}, "with its token is wanted", False),
+        (("localhost",), {"host": "evil.example", "token": "right"}, "the page is served to this host only", False),
+        (("localhost",), {"host": "localhost"}, "expected the address of the page with its token", False),
+        (
+            ("localhost",),
+            {"host": "localhost", "token": "wrong", "cookie": "right"},
+            "expected the address of the page with its token",
+            False,
+        ),
+        (
+            ("localhost",),
+            {"host": "localhost", "cookie": "wrong"},
+            "expected the address of the page with its token",
+            False,
+        ),
     ],
 )
 def test_a_request_with_the_token_is_accepted_and_a_cookie_keeps_it(names, request_of, refused, kept):

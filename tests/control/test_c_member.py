@@ -246,7 +246,7 @@ def test_a_library_that_exits_ends_alone_and_leaves_nothing_behind(fault: str, m
 def test_a_library_that_affects_the_whole_process_reports_why_it_runs_separately() -> None:
     run = simulate(rig_with(faulty("EXIT"), duration=0.1))
     assert (
-        run.blocks["dc_motor_pid"].reports["apart"][1].startswith("pi.c calls exit, which would act on all of softrig")
+        run.blocks["dc_motor_pid"].reports["apart"][1].startswith("pi.c calls exit, which would affect all of softrig")
     )
     assert run.recording.topics == simulate(rig_with(PI, duration=0.1)).recording.topics
 

@@ -280,7 +280,7 @@ def test_a_difference_equation_that_floats_cannot_represent_is_refused():
 def test_a_matrix_that_does_not_solve_its_riccati_equation_is_not_returned(monkeypatch):
     assert riccati([[0.5]], [[1.0]], [[1.0]]) == pytest.approx((math.sqrt(0.25**2 + 4.0) + 0.25) / 2.0)
     monkeypatch.setattr("softrig_control.riccati.RESIDUAL", -1.0)
-    with pytest.raises(ValueError, match="no such law"):
+    with pytest.raises(ValueError, match="no such controller"):
         lqr([[0.5]], [[1.0]], [1.0], [1.0])
 
 

@@ -32,8 +32,8 @@ def test_the_controller_of_a_plant_makes_its_loop_stable():
 @pytest.mark.parametrize(
     ("a", "b", "q", "r", "text"),
     [
-        ([[2.0]], [[0.0]], [1.0], [1.0], "no such law"),  # an unstable state that the input cannot reach
-        ([[1.5]], [[1.0]], [1.0], [0.0], "no such law"),
+        ([[2.0]], [[0.0]], [1.0], [1.0], "no such controller"),  # an unstable state that the input cannot reach
+        ([[1.5]], [[1.0]], [1.0], [0.0], "no such controller"),
         ([[1.0]], [1.0], [1.0], [1.0], r"B \(1,\)"),
         ([[1.0]], [[1.0]], [1.0, 2.0], [1.0], r"Q \(2, 2\)"),
     ],

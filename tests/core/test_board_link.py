@@ -485,7 +485,7 @@ def test_a_description_is_complete_or_refused_with_the_place(place, tmp_path):
 def test_arrays_that_are_larger_than_described_are_not_created(tmp_path):
     port = DESCRIBED["ports"][0] | {"type": "std_msgs/msg/Float64MultiArray", "dims": [["x", 10**9]]}
     (tmp_path / "law.json").write_text(json.dumps(DESCRIBED | {"ports": [port]}))
-    with pytest.raises(ValueError, match=r"ports\.0: .*port state has 1 values, expected as many as its dims give"):
+    with pytest.raises(ValueError, match=r"ports\.0: .*port state has 1 values, expected as many as its dims require"):
         read_description(tmp_path / "law.json")
 
 

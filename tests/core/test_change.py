@@ -155,7 +155,7 @@ def test_ports_and_agreed_quantities_do_not_change():
         def agreed(cls, params):
             return {"tank/limit": params.limit}
 
-    with pytest.raises(ParameterError, match="size: the ports would be others"):
+    with pytest.raises(ParameterError, match="size: this would change the ports"):
         permit(Odd, OfParams(), {"size": 2})
     with pytest.raises(ParameterError, match="limit: tank/limit would change, but all nodes of a rig must agree on it"):
         permit(Odd, OfParams(), {"limit": 2.0})

@@ -229,14 +229,14 @@ def test_a_step_that_breaks_the_rig_is_shortened_and_its_failure_reported():
     assert differences.view().A.tolist() == [[0.5]]
     # 2^-12 is the first step inside the fence, and 2^-16 confirms its slope.
     assert differences.steps == {0: 2.0**-16}
-    with pytest.raises(RunError, match=r"^made: plant\.x\[0\] cannot be moved at 1\.5 s, however little$"):
+    with pytest.raises(RunError, match=r"^made: plant\.x\[0\] cannot be disturbed at 1\.5 s, however little$"):
         Differences(fenced(0.0), ["plant/y"], [], "").view()
 
 
 def test_a_changing_value_that_is_not_a_float_is_reported():
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
     m.others = lambda: [("plant.n", len(m.asked))]
-    text = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
+    text = r"^made: plant\.n changes with plant\.x\[0\] at 1\.5 s, however little that is disturbed, and is not a float"
     with pytest.raises(RunError, match=text):
         Differences(m, ["plant/y"], [], "").view()
     m.asked.clear()
@@ -274,5 +274,5 @@ def test_infinite_numbers_and_numbers_too_large_to_move_have_no_columns():
     m = Map(lambda s, v, w: s * [0.5, 1.0], lambda s, v, w: [s[0]], [1.0, math.inf], [1.0, 0.0], [True, True])
     assert Differences(m, ["plant/y"], [], "").view().states == ("plant.x[0]",)
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1e20], [1.0], [True])
-    with pytest.raises(RunError, match="cannot be moved"):
+    with pytest.raises(RunError, match="cannot be disturbed"):
         Differences(m, ["plant/y"], [], "").view()

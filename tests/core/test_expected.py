@@ -225,7 +225,7 @@ def test_an_expectation_refers_to_numbers_of_nodes(text, expected):
 
     parsed = parse(text)
     assert parsed.follows
-    with pytest.raises(ScenarioError, match="takes numbers from nodes"):
+    with pytest.raises(ScenarioError, match="refers to parameters of nodes"):
         parsed.holds(0.0)
     if isinstance(expected, str):
         with pytest.raises(ScenarioError, match=expected):

@@ -304,7 +304,7 @@ REFUSED = {
     Default: r"stored, line \d+: kept may be a list with another name",
     Now: r"Now.odd, line \d+: time, which does not depend on its arguments alone",
     Listed: r"Listed.odd, line \d+: `:=` in a list",
-    Unbound: "Unbound.odd: z has no value on every way",
+    Unbound: "Unbound.odd: z has no value on some paths",
     Growing: "Growing, line .* at 0.0[12] s: a whole number that has no place in 64 bits in .*Growing.odd",
     Leaving: r"Leaving.odd, line \d+: else of a loop",
 }

@@ -152,7 +152,7 @@ def test_the_start_time_does_not_shift_its_random_numbers():
         ({"value": ()}, "value has 0 numbers, expected one, or one for each of 1 values"),
         ({"lower": (0.0, 1.0)}, "lower has 2 numbers, expected one"),
         ({"every": 1.0}, "lasts = 0 s: expected more than 0 and less than every"),
-        ({"lasts": 1.0}, "lasts without every"),
+        ({"lasts": 1.0}, "lasts needs every"),
         ({"kind": "noise", "value": (-1.0,)}, "expected at least 0 for noise"),
         ({"kind": "saturate", "value": (1.0,), "lower": (2.0,)}, "lower = 2 is above value = 1"),
         ({"kind": "nonsense"}, "kind"),

@@ -361,7 +361,7 @@ def test_no_number_in_a_users_file_may_be_nan_or_infinite():
 def test_an_answer_that_is_not_a_row_of_numbers_is_an_error_of_the_node():
     port = number("x", "x", "m")
     for wrong in (5.0, None, ("a",), (1j,), [[1.0]], (10**400,), ("1.0",), "1", b"1", (b"1",)):
-        with pytest.raises(RunError, match="law: x is no row of numbers at t = 0 s"):
+        with pytest.raises(RunError, match="law: x is not a sequence of numbers at t = 0 s"):
             admit({"x": wrong}, port, "law", 0)
 
 

@@ -302,7 +302,7 @@ BATCHES: dict[str, tuple[Any, str, str]] = {  # blocks, the agent, and why the b
         "law",
         "age",
     ),
-    "silent": (hard, "sensor", "its messages do not come at each tick"),
+    "silent": (hard, "sensor", "it does not publish at each tick"),
 }
 
 

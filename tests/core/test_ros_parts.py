@@ -312,7 +312,7 @@ def test_sets_are_applied_at_the_next_tick_all_or_none():
     assert set_from_outside(run__seed=3) == (True, "")  # this parameter belongs to the node, not to its block
     assert set_from_outside(run__pace=2.0) == (
         False,
-        "run.pace is that of the node of the clock, in lockstep, once it has begun",
+        "run.pace can be set only at the node of the clock, in lockstep, after the start",
     )
     done, reason = set_from_outside(gain=3.0)
     assert (done, "gain" in reason) == (False, True)  # this parameter is not live

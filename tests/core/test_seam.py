@@ -448,7 +448,7 @@ def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     assert hold.ask("pause") == (True, "paused")
     assert hold.ask("resume") == (True, "goes on")
     assert (hold.held, hold.steps) == (False, 0)
-    assert hold.ask("step") == (False, "it runs: pause it first")
+    assert hold.ask("step") == (False, "the run is not paused; pause it first")
     assert not hold.holds(0)
     tells.call()
     assert len(hand.published[BUSY]) == 1

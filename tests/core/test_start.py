@@ -111,9 +111,9 @@ def test_a_node_begins_when_its_inputs_have_publishers_and_its_outputs_their_sub
     assert meeting.shake.missing == ["law"]
     meeting.hand.readers["/y"] = {"law": JOINT, "tool": JOINT}
     # The graph shows a subscriber before the publisher is matched with it.
-    assert meeting.absent() == ["/y has 0 readers of 2"]
+    assert meeting.absent() == ["/y has 0 of 2 subscribers"]
     meeting.y.matched(1)
-    assert meeting.absent() == ["/y has 1 readers of 2"]
+    assert meeting.absent() == ["/y has 1 of 2 subscribers"]
     meeting.y.matched(2)
     assert (meeting.absent(), meeting.shake.missing, meeting.shake.lacking) == ([], [], [])
     departed = Meeting().whole()
@@ -135,7 +135,7 @@ def test_incompatible_subscribers_are_named_if_they_are_awaited():
     meeting.hand.unfit = lambda topic, kind: [("tool", "reliability")] if (topic, kind) == ("/y", JOINT) else []
     assert meeting.absent() == []  # the tool is not expected
     meeting.y.matched(0)
-    assert meeting.absent() == ["/y has 0 readers of 1"]
+    assert meeting.absent() == ["/y has 0 of 1 subscribers"]
     meeting.hand.unfit = lambda topic, kind: [("law", "reliability"), ("tool", "durability")]
     assert meeting.absent() == ["law can never read /y: reliability"]
     assert meeting.shake.missing == ["law"]
@@ -155,7 +155,7 @@ def test_any_external_node_counts_as_a_subscriber_of_its_topics():
     assert meeting.absent() == ["guest does not subscribe /y"]
     assert meeting.shake.lacking == []
     meeting.hand.readers["/y"] = {"guest": JOINT}
-    assert meeting.absent() == ["/y has 0 readers of 1"]
+    assert meeting.absent() == ["/y has 0 of 1 subscribers"]
     meeting.y.matched(1)
     styles = 0
     while meeting.absent() == ["outside nodes are still announcing themselves"]:
@@ -234,14 +234,19 @@ def test_the_starter_waits_until_all_are_ready_and_matched_and_announces_the_tim
     assert one.timer.asked == [(20 * MS, 0)]
     one.hand.readers[f"/{START}"] = {"law": TICK}
     one.absent_nodes.append("nobody on x")
-    assert one.look() == ["nobody on x", "law is not ready", "source is not ready", f"source does not hear {START} yet"]
+    assert one.look() == [
+        "nobody on x",
+        "law is not ready",
+        "source is not ready",
+        f"source has not subscribed to {START} yet",
+    ]
     one.absent_nodes.clear()
     ready(TickWriter()(0, ["law"]))
     one.hand.matched[START](1)
-    assert one.look() == ["source is not ready", f"source does not hear {START} yet"]
+    assert one.look() == ["source is not ready", f"source has not subscribed to {START} yet"]
     ready(TickWriter()(0, ["source"]))
     one.hand.readers[f"/{START}"] = {"law": TICK, "source": TICK}
-    assert one.look() == [f"one of 3 nodes does not hear {START} yet"]
+    assert one.look() == [f"one of 3 nodes has not subscribed to {START} yet"]
     assert not text
     one.hand.matched[START](2)
     assert one.look() == []
@@ -266,7 +271,7 @@ def test_neighbours_in_its_process_are_informed_in_memory():
     one.departure.neighbours = two.departure.neighbours = [one.departure, two.departure]
     for name in ("law", "source"):
         one.hand.callbacks[READY](TickWriter()(0, [name]))
-    assert one.look() == [f"law, source does not hear {START} yet"]
+    assert one.look() == [f"law, source has not subscribed to {START} yet"]
     one.hand.matched[START](1)  # counts nodes of other processes only
     one.look()
     (call,) = one.hand.posted  # the other node of this process, which does not start the run, is informed by a call

@@ -166,7 +166,7 @@ def test_the_drift_of_a_run_is_measured_in_the_sizes_of_the_states(monkeypatch):
     # After 200 periods the states have moved by 1e-6 and 1.5e-6 of their sizes.
     monkeypatch.setattr(Wanders, "little", np.array([0.5e-8, 3e-8]))
     with pytest.raises(
-        NoOperatingPoint, match=r"near t = 3 s: what is found does not last; plant\.b = 8 moves by 6e-06 within 2 s$"
+        NoOperatingPoint, match=r"near t = 3 s: the point found is not steady; plant\.b = 8 moves by 6e-06 within 2 s$"
     ):
         steady(rig_of_curve(Curve.f))
 
@@ -175,7 +175,7 @@ def test_if_newtons_method_does_not_converge_the_state_that_moves_most_is_report
     with pytest.raises(NoOperatingPoint) as refused:
         steady(rig_of_curve(lambda x: 0.05 * (2.0 + x * x) if abs(x) < 1e3 else 0.0), at=0.0)
     message = str(refused.value)
-    assert "no operating point near t = 0 s: Newton's method ends nowhere; plant[0] = " in message
+    assert "no operating point near t = 0 s: Newton's method does not converge; plant[0] = " in message
     assert message.endswith(" within 2 s")
 
 
@@ -258,7 +258,7 @@ def test_a_step_is_halved_until_the_rig_accepts_it(fence, halved):
 def test_a_step_without_progress_is_reported():
     fenced = Fenced(1.0)
     with pytest.raises(
-        NoOperatingPoint, match=r"^fenced: no operating point near t = 2\.5 s: the way there leaves the l"
+        NoOperatingPoint, match=r"^fenced: no operating point near t = 2\.5 s: the iteration leaves the l"
     ):
         _go(fenced, [0], np.array([1.0]))
     assert fenced.asked == [1.0 + 0.5**k for k in range(8)]

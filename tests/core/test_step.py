@@ -73,8 +73,8 @@ def test_values_that_are_almost_a_row_of_floats_are_converted(text):
         ((0.5,), "out has 1 values, expected 2"),
         ((0.5, math.nan), "out b/position became nan"),
         ((0.5, -1e9), "out b/position became -1e"),
-        (("x", 0.0), "out is no row of numbers"),
-        (None, "gave no out at t = 0 s; the outputs it returned: none"),
+        (("x", 0.0), "out is not a sequence of numbers"),
+        (None, "returned no out at t = 0 s; the outputs it returned: none"),
         ((math.inf, -math.inf), "out a/position became inf"),
     ],
 )
@@ -89,12 +89,12 @@ def test_an_output_that_may_not_leave_a_block_is_reported(text, reason):
 @pytest.mark.parametrize(
     ("returned", "reason"),
     [
-        ({"oot": (0.5, 2.0)}, "gave no out at t = 0 s; the outputs it returned: oot"),
+        ({"oot": (0.5, 2.0)}, "returned no out at t = 0 s; the outputs it returned: oot"),
         (
             {"out": (0.5, 2.0), "oot": (1.0,)},
             r"odd returned 'oot' at t = 0 s, which is not an output of it \(did you mean 'out'\?\); its outputs: out",
         ),
-        ((0.5, 2.0), "gave no out at t = 0 s; the outputs it returned: a tuple"),
+        ((0.5, 2.0), "returned no out at t = 0 s; the outputs it returned: a tuple"),
     ],
 )
 def test_an_output_that_a_block_does_not_have_is_refused(returned, reason):

@@ -115,7 +115,7 @@ def test_two_parts_of_a_rig_make_the_bag_of_the_whole(tmp_path):
     [
         (["--only", "gian", "--domain", "3"], "--only gian: no such node (did you mean 'gain'?)"),
         (["--only", "gain"], "--only: expected --domain N"),
-        (["--only", "gain", "--domain", "3", "--mode", "inprocess"], "--only: blocks in process"),
+        (["--only", "gain", "--domain", "3", "--mode", "inprocess"], "--only: in process all blocks"),
     ],
 )
 def test_an_impossible_part_is_reported(arguments, text, tmp_path, capsys):

@@ -359,7 +359,7 @@ def test_sections_are_found_only_by_their_heads():
     assert next((name, len(data)) for name, _, data in sections(inside)) == ("DAT", 28)
     with pytest.raises(SettingsError, match="no line '--- file type: CFG ---'"):
         list(sections(b"hello"))
-    with pytest.raises(SettingsError, match="tells of 9 bytes, there are 1"):
+    with pytest.raises(SettingsError, match="states 9 bytes, but there are 1"):
         list(sections(b"--- file type: DAT BINARY: 9 ---\nx"))
 
 
@@ -372,7 +372,7 @@ def test_contradicting_counts_are_reported(tmp_path):
     assert "the data end after 400 of 410 samples" in read(file).note
     file.rates = ["4000,390"]
     result = read(file)
-    assert "only the 390 samples that the settings tell of are used, of 400" in result.note
+    assert "only the 390 samples that the settings state are used, of 400" in result.note
     assert len(result.samples) == 390
     path = file.write()
     data = tmp_path / "rec.dat"

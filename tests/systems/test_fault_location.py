@@ -644,8 +644,8 @@ def test_comtrade_with_switches_has_room_for_16_of_them_a_word(record, tmp_path,
 @pytest.mark.parametrize(
     ("line", "old", "new", "why"),
     [
-        (-7, ",1200", ",4000000", "tells of 4000000 samples, but its data are"),
-        (1, "12,12A,0D", "4000012,12A,4000000D", "tells of 4000012 channels in"),
+        (-7, ",1200", ",4000000", "states 4000000 samples, but its data are"),
+        (1, "12,12A,0D", "4000012,12A,4000000D", "states 4000012 channels in"),
     ],
 )
 @pytest.mark.parametrize("single", [False, True])

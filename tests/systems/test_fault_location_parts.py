@@ -954,11 +954,14 @@ def test_a_location_is_described_as_expected():
     rests = [
         "  line 120 km, 0.0275 ohm/km, 0.00100268 H/km, 1.3e-08 F/km",
         "  record 0.5 to 0.54 s, 41 samples at 1000 Hz",
-        "  window 0.021 to 0.0395 s, as told",
+        "  window 0.021 to 0.0395 s, as set by --window",
         "  R resampled from 2000 to 1000 Hz",
     ]
-    assert trust.conditions(record, LocatorParams(), "as told").splitlines() == rests
-    assert trust.conditions(Record(0.5, 1000.0, CHANCE[:41]), LocatorParams(), "as told").splitlines() == rests[:3]
+    assert trust.conditions(record, LocatorParams(), "as set by --window").splitlines() == rests
+    assert (
+        trust.conditions(Record(0.5, 1000.0, CHANCE[:41]), LocatorParams(), "as set by --window").splitlines()
+        == rests[:3]
+    )
 
 
 # How the ends are wired --------------------------------------------------------------------------------------
@@ -1453,7 +1456,7 @@ def test_figures_of_a_run_are_those_of_its_last_answer():
     assert messages == [0.0, 1.0, 0.0]
     assert figures.locations(signals) == 2.0
     assert [figures.fault_peak(signals, phase=p) for p in "ac"] == [7.0, 3.0]
-    with pytest.raises(ValueError, match=r"^nothing came on location$"):
+    with pytest.raises(ValueError, match=r"^no message was recorded on location$"):
         figures.location_error({"location/0": (np.empty(0), np.empty(0))}, truth=1.0)
 
 
@@ -1615,7 +1618,7 @@ def test_a_command_line_makes_the_expected_calls(monkeypatch, capsys):
     assert called["p"] == build(LocatorParams, parameters)
     assert called["budget"] == ErrorBudget(ratio=0.02, sync_us=7.0)
     assert "frequency" not in called
-    assert capsys.readouterr().out.splitlines()[-1] == "  window 0.022 to 0.035 s, as told"
+    assert capsys.readouterr().out.splitlines()[-1] == "  window 0.022 to 0.035 s, as set by --window"
 
 
 def test_the_tool_ends_with_the_expected_status(monkeypatch, capsys):

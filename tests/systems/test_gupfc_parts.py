@@ -76,7 +76,7 @@ def test_the_constants_per_unit():
     network = Network(p)
     assert network.injection == pytest.approx([y * behind_a, 0, 0, 0, 0, y * behind_b])
     assert network.admittance == pytest.approx(admittance(p.half.exact_two_port(p.omega), y, 1.0 / p.z_se))
-    text = "both sources are equal: the line carries nothing, no flow can be asked of it"
+    text = "both sources are equal, so the line carries no power and no flow can be set"
     with pytest.raises(ParameterError) as refused:
         build(NetworkParams, {"source1_angle": 0.1, "source2_angle": 0.1})
     assert text in str(refused.value)
@@ -653,10 +653,10 @@ def test_possible_commands_are_accepted(k, command, good):
         assert reports == {}
         return
     assert result == Command(1.0, pytest.approx(0.5 + 400.0 * PERIOD), 400.0, 1)
-    text = f"{name}: command {command} cannot be meant: the last one holds for a period"
+    text = f"{name}: command {command} is implausible: the last one holds for a period"
     assert reports == {f"{name}_held": (Level.WARN, text, 1)}
     result, reports, _ = taken(command, 0, k, bad=1)
-    text = f"{name}: command {command} cannot be meant, twice in a row: converter blocked"
+    text = f"{name}: command {command} is implausible, twice in a row: converter blocked"
     assert reports == {f"{name}_blocked": (Level.ERROR, text, 1)}
     if k == 0:
         plant = steady_plant()

@@ -369,7 +369,7 @@ def test_the_verb_writes_the_scenario(tmp_path, capsys):
     assert "i_max" in capsys.readouterr().out
     assert rig_of(str(tmp_path / "my_drive.yaml")).scenario.nodes["pmsm_plant"].parameters["R_s"] == 3.6
     for arguments, text in (
-        (["my_drive", "--plant", "pmsm", "--into", str(tmp_path), "--rated", *values], "there already"),
+        (["my_drive", "--plant", "pmsm", "--into", str(tmp_path), "--rated", *values], "exists already"),
         (["other", "--plant", "dcmotor"], "unknown; there are bldc, buck, im, pmsm"),
         (["other", "--plant", "pmsm", "--rated", "speed"], "expected NAME=VALUE"),
         (["other", "--plant", "pmsm", "--rated", "speed=fast"], "expected NAME=VALUE"),

@@ -148,7 +148,7 @@ def test_ignored_items_are_reported_once_and_change_nothing(name):
         (FULL.replace('xyz="0 0 1"', 'xyz="0 0 -1e200"', 1), "origin@xyz is '0 0 -1e200', expected at most"),
         (FULL.replace('damping="0.5"', 'damping="-0.5"'), "no negative values"),
         (FULL.replace('lower="-1"', 'lower="2"'), "expected lower <= upper"),
-        (FULL.replace('mimic joint="j1"', 'mimic joint="nix"'), "j2 mimics 'nix', which is no moving joint"),
+        (FULL.replace('mimic joint="j1"', 'mimic joint="nix"'), "j2 mimics 'nix', which is not a moving joint"),
         (FULL.replace('mimic joint="j1"', 'mimic joint="j2"'), "in a circle"),
         (FULL.replace('type="prismatic"', 'type="planar"'), "joint j3 is of type 'planar', expected one of revolute"),
         (FULL.replace('version="1.1"', "").replace('rpy="0 0.1 0"', 'quat_xyzw="0 0 0 1"'), "quat_xyzw needs"),

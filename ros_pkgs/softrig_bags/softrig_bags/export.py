@@ -274,9 +274,7 @@ def _mat(table: Path) -> Path:
             name = f"{plain[: LONGEST - 4]}_{k}"
         variables[name] = result = _doubles(columns[heading])
         if columns[heading].null_count and np.abs(result[~np.isnan(result)]).max(initial=0.0) > 2.0**53:
-            print_line(
-                f"{table.stem}: {heading} is rounded to doubles: MATLAB's integers have no mark for what is missing"
-            )
+            print_line(f"{table.stem}: {heading} is rounded to doubles: MATLAB's integers cannot mark missing values")
     file = table.with_suffix(".mat")
     partial = table.with_name(f".{file.name}.part")
     try:

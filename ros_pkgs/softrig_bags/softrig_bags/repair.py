@@ -197,7 +197,7 @@ def _rewrite(result: Remains, directory: Path, name: str) -> tuple[list[FileRepo
                     numbers[key] = writer.add_topic(topic)
     if writer is None:
         hint = "; `sqlite3 FILE .recover` may find rows" if plain(result.files[0]).suffix == ".db3" else ""
-        raise BagError(f"{', '.join(s.name for s in result.files)}: not one whole message in it{hint}")
+        raise BagError(f"{', '.join(s.name for s in result.files)}: no complete message in it{hint}")
     writer.close()
 
     absent = "all of it: metadata.yaml lists this file, but it does not exist"
@@ -301,6 +301,6 @@ def _repair_shards(shards: list[Path], target: Path) -> Repair:
         saved = sum(t.number for t in recording.topics.values()) - before
         reports.append(FileReport(shard.name, saved, [f"the last {lost} bytes"] if lost else [], indexed=True))
     if not any(r.kept for r in reports):
-        raise BagError(f"{shards[0].parent}: not one whole message in its shards")
+        raise BagError(f"{shards[0].parent}: no complete message in its shards")
     write_bag(target, recording)
     return Repair(target, reports)

@@ -105,7 +105,7 @@ def retell(bag: Path, directory: Path, custom_data: Mapping[str, str]) -> None:
                     writer.write(numbers[int(block.topic[i])], int(block.t[i]), block.data(i))
             # The copy would claim to be whole, so it is not made of a bag that lacks messages.
             if not reader.is_whole:
-                raise BagError(f"{bag} is not whole; `softrig bag info {bag}` says what is missing")
+                raise BagError(f"{bag} is incomplete; `softrig bag info {bag}` shows what is missing")
             writer.close()
         except BaseException:
             writer.abort()

@@ -316,8 +316,8 @@ def _of_the_script(arguments: list[str]) -> bool:
 def of_the_script(_: object = None) -> int:
     """Refuse a command that exists only in a checkout, as part of scripts/softrig."""
     raise ScenarioError(
-        f"{', '.join(SCRIPT)}, `env COMMAND` and --workspace are of scripts/softrig, which has not been used here; "
-        "a package of yours is used once it is installed: pip install ./my_rig"
+        f"{', '.join(SCRIPT)}, `env COMMAND` and --workspace need scripts/softrig, which was not used here; "
+        "a package of your own must be installed: pip install ./my_rig"
     )
 
 

@@ -97,9 +97,7 @@ def lqr(a: ArrayLike, b: ArrayLike, q: ArrayLike, r: ArrayLike) -> Matrix:
     except np.linalg.LinAlgError:
         X = None
     if X is None:
-        raise ValueError(
-            "no such law: R is singular, or a state that grows is not reached by the inputs or not weighed"
-        )
+        raise ValueError("no such controller: R is singular, or an unstable state is not controllable or has no weight")
     XB = product(X, B)
     K = solve(R + product(B.T, XB), product(XB.T, A))
     return tuple(tuple(map(float, row)) for row in K)

@@ -329,7 +329,9 @@ class CommandOptimiser(Block[P], ABC):
         dark = t if x.dark == NEVER else x.dark
         if t - dark < self._hold:
             return x._replace(dark=dark)
-        self.report(Level.WARN, "no signal", "the signal is gone: the search stops; another one when it is back")
+        self.report(
+            Level.WARN, "no signal", "the signal is lost: the search stops, and a new one starts when it returns"
+        )
         return x._replace(dark=dark, waiting=True, target=x.search.low, since=NEVER)
 
     def _wait_tick(self, x: State, t: int) -> State:
@@ -475,7 +477,7 @@ class CommandOptimiser(Block[P], ABC):
     def _changed(self, x: State, t: int, value: float, elapsed: int) -> tuple[State, bool]:
         """Return whether the held value requires a new search."""
         if self.p.floor is not None and value <= self.p.floor:
-            self.report(Level.WARN, "no signal", "the value held fell to the floor: waiting for it")
+            self.report(Level.WARN, "no signal", "the held value fell to the floor: waiting until it rises")
             return x._replace(lost=True), False
         if x.lost:
             return x, True

@@ -341,7 +341,9 @@ def _followed(name: str, joints: Mapping[str, Joint], source: str) -> Joint:
     mimic = joint.mimic
     while mimic is not None:
         if mimic.joint not in joints:
-            raise ValueError(f"{source}: joint {via[-1]} mimics {mimic.joint!r}, which is no moving joint of the file")
+            raise ValueError(
+                f"{source}: joint {via[-1]} mimics {mimic.joint!r}, which is not a moving joint of the file"
+            )
         if mimic.joint in via:
             raise ValueError(f"{source}: joints {', '.join(via)} mimic each other in a circle")
         multiplier, offset = multiplier * mimic.multiplier, multiplier * mimic.offset + offset

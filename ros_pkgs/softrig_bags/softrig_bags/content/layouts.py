@@ -176,7 +176,7 @@ class _Maker:
     def __init__(self, types: Types, data: bytes, wide: int) -> None:
         order = _ORDERS.get(data[:2])
         if order is None or len(data) < 4:
-            raise Undecodable(f"its bytes begin with {data[:4].hex() or 'nothing'}, which is no CDR of ROS 2")
+            raise Undecodable(f"its bytes begin with {data[:4].hex() or 'nothing'}, which is not CDR of ROS 2")
         self._types, self._data, self._wide = types, data, wide
         self._at = 4
         self._empty = 0  # sequences of numbers of eight bytes

@@ -179,7 +179,7 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
             stated = zstd().get_frame_info(data).decompressed_size
     if size > LIMIT or (stated or 0) > size:
         raise Damaged(
-            f"a chunk of {len(data)} bytes claims {size} uncompressed, expected the truth and at most {LIMIT}"
+            f"a chunk of {len(data)} bytes claims {size} uncompressed, expected the actual size and at most {LIMIT}"
         )
     if compression not in ("", "zstd", "lz4"):
         raise Damaged(f"a chunk is compressed by {compression!r}, expected zstd or lz4")

@@ -258,8 +258,8 @@ class Recorder:
         if self.holds.wake(self._count):
             self._writer.custom_data["held"] = str(self.holds)
             self._node.get_logger().error(
-                f"this process was held for {self.holds}: publishers may have taken it for dead, and what they sent "
-                "then is neither here nor counted"
+                f"this process was held for {self.holds}: publishers may have considered it dead; messages that "
+                "they published then are neither recorded nor counted"
             )
 
     def _count(self) -> int:

@@ -87,8 +87,8 @@ class Session:
                 self.node.undeclare_parameter(name)
             elif name not in _OF_ROS and not name.startswith("qos_overrides."):
                 raise BagError(
-                    f"parameter {name} cannot be set to {parameter.value} by ROS arguments; what can be set are the "
-                    "options that --help shows"
+                    f"parameter {name} cannot be set to {parameter.value} by ROS arguments; the options that can be "
+                    "set are those of --help"
                 )
         for declaration, value in parameters:
             self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))

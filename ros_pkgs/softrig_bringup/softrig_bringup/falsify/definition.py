@@ -86,7 +86,8 @@ def falsification_of(name: str, changes: dict[str, Any]) -> Falsification:
     raw["over"] = {**raw.get("over", {}), **changes.pop("over", {})}
     if not raw["over"]:
         raise ScenarioError(
-            f"{source}: over what? --over NAME=LOW..HIGH of a node or a fault, or --over SIGNAL=LOW..HIGH*6"
+            f"{source}: nothing to search over; expected --over NAME=LOW..HIGH of a node or a fault, or "
+            "--over SIGNAL=LOW..HIGH*6"
         )
     try:
         return Falsification.model_validate(raw | changes)

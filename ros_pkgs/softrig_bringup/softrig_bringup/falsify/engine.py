@@ -115,8 +115,8 @@ def prepare(task: Falsification) -> Prepared:
     left = () if task.requirements or task.strict else tuple(name for name in names if name in unjudged)
     if len(left) == len(names):
         raise ScenarioError(
-            f"{task.scenario}: no requirement follows the machine; {', '.join(left)}: published for {machine}; "
-            "expected --strict, which judges other machines by them, or --requirement NAME"
+            f"{task.scenario}: all requirements ({', '.join(left)}) are published for {machine}; expected "
+            "--strict, which judges another machine by them, or --requirement NAME"
         )
     names = tuple(name for name in names if name not in left)
     content = task.model_dump(mode="json", exclude=free) | made_of({task.scenario: scenario}, [rig])
@@ -212,7 +212,7 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
     if not scenario.requirements and not wanted:
         raise ScenarioError(
             f"{scenario.name} has no requirements; it needs an entry requirements: NAME: FORMULA, or "
-            "--requirement FIGURE of which a bound is expected"
+            "--requirement FIGURE with an expected bound"
         )
     for name in wanted:
         if name not in known and name in scenario.figures:

@@ -68,7 +68,7 @@ def parse(key: str, text: str) -> Over:
     if over.on_signal and not over.count:
         raise ScenarioError(f"{key}={text}: a signal needs a profile, such as {over.low:g}..{over.high:g}*6")
     if adds and not over.on_signal:
-        raise ScenarioError(f"{key}+={text}: only to signals can be added")
+        raise ScenarioError(f"{key}+={text}: only signals can be added to")
     return over
 
 

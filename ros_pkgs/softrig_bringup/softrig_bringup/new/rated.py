@@ -63,7 +63,7 @@ def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], co
         raise ScenarioError(f"--rated: {error}") from None
     path = parent / f"{name}.yaml"
     if path.exists() or path.is_symlink():
-        raise ScenarioError(f"{path} is there already; choose another name or --into DIR")
+        raise ScenarioError(f"{path} exists already; choose another name or --into DIR")
     path.parent.mkdir(parents=True, exist_ok=True)
     replace(path, text)
     shown = shlex.quote(os.path.relpath(path))

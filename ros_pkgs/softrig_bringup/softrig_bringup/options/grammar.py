@@ -120,7 +120,7 @@ def span(name: str, text: object) -> Span:
         raise ScenarioError(f"{name}={text}: {FORMS}{near}" + ("; LOW:HIGH:STEP is a grid, --grid" if steps else ""))
     low, high, count = float(match[2]), float(match[3]), int(match[5] or 0)
     if not math.isfinite(high - low):
-        raise ScenarioError(f"{name}={text}: expected numbers below 1.8e308, and so their difference")
+        raise ScenarioError(f"{name}={text}: expected numbers below 1.8e308 in size and difference")
     if low > high:
         raise ScenarioError(f"{name}={text}: {low:g} is above {high:g}")
     if match[1] and low <= 0.0:

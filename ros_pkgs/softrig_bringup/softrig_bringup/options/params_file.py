@@ -112,7 +112,7 @@ def params_of(
             f"params file {file}: {', '.join(unmatched)}: no such node{near}; the nodes are {', '.join(full.values())}"
         )
     if unmatched:
-        print_line(f"params file {file}: passed over what is of no node of this rig: {', '.join(unmatched)}")
+        print_line(f"params file {file}: ignored entries of nodes that this rig does not have: {', '.join(unmatched)}")
     return result
 
 
@@ -206,7 +206,7 @@ def _values(branch: yaml.MappingNode, above: str, source: str) -> Iterator[tuple
 def _scalar(node: yaml.Node, source: str) -> bool | int | float | str | Unfit:
     """Read a value as rcl does: quoted values are text, and C reads the numbers."""
     if not isinstance(node, yaml.ScalarNode):
-        raise ScenarioError(f"{source}: a list of lists or maps, which no parameter can be")
+        raise ScenarioError(f"{source}: a list of lists or maps, which a parameter cannot hold")
     text = str(node.value)
     if node.style is not None and node.style != "":
         return text

@@ -363,7 +363,7 @@ def _check_offers(name: str, offers: Mapping[str, Mapping[str, str]]) -> None:
                     f"expected NAME = {name}.MODULE:FUNCTION"
                 )
             if group == registry.GROUP and point in registry.registered():
-                raise ScenarioError(f"{PACKAGES}/{name}: the figure function {point} is there already; rename it")
+                raise ScenarioError(f"{PACKAGES}/{name}: the figure function {point} exists already; rename it")
 
 
 def _share(name: str, files: Mapping[str, Path], config: configparser.ConfigParser) -> Iterator[tuple[str, Path]]:

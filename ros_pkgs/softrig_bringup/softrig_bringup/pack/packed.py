@@ -270,7 +270,9 @@ def need_packages(source: object, packages: Iterable[str]) -> None:
     names = list(packages)
     typed = [name for name in names if not name.isidentifier()]
     if typed:
-        raise ScenarioError(f"{source}: {', '.join(typed)} was typed, not imported: only a package can be repeated")
+        raise ScenarioError(
+            f"{source}: {', '.join(typed)} was defined interactively: only blocks of a package can be repeated"
+        )
     missing = [name for name in names if find_spec(name) is None]
     if missing:
         noun = "package" if len(missing) == 1 else "packages"

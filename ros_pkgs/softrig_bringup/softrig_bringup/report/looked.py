@@ -68,9 +68,7 @@ def record_of_pack(folder: Path) -> RunRecord:
     if stated.run and run != stated.run:
         strange.append(f"pack.json is of run {stated.run[:HALF]}, metrics.json of run {run[:HALF]}")
     if names := brings(folder, stated):
-        strange.append(
-            f"the figures are those of metrics.json: to compute them the code of {', '.join(names)} had to run"
-        )
+        strange.append(f"the figures are those of metrics.json, as computing them needs code: {', '.join(names)}")
     else:
         if run and asked_half(rig, _seed(content, rig)) != run[HALF:]:
             strange.append("its scenario is not that of its run: duration, seed or parameters differ")

@@ -101,7 +101,7 @@ def write_report(
         for i, (run, name) in enumerate(zip(runs, named, strict=True), 1):
             body.append(e("details", e("summary", name), run_section(*run, name, "h2", f"run-{i}"), class_="run"))
     if without:
-        body.append(e("p", f"Left out, for want of a metrics.json: {', '.join(without)}", class_="note"))
+        body.append(e("p", f"Left out, without a metrics.json: {', '.join(without)}", class_="note"))
     write_page(output, title, body)
     return records, named
 

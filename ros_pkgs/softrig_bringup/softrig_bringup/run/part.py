@@ -41,7 +41,7 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
     if options.domain is None:
         raise ScenarioError("--only: expected --domain N, the same on all machines of the rig")
     if options.mode == "inprocess":
-        raise ScenarioError("--only: blocks in process have no other machine; expected --mode processes or container")
+        raise ScenarioError("--only: in process all blocks run on one machine; expected --mode processes or container")
     out = (options.out or Path("runs") / folder_name(rig.scenario.name, options, options.only)).absolute()
     absent = [name for name in names if name not in options.only]
     print_line(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(absent) or 'nobody'}")
@@ -54,7 +54,7 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
         return 3
     log = os.path.relpath(out / "log")
     print_line(
-        f"recorded in {log}; a bag of the whole rig: the .shard files of all parts in one folder, then "
-        "softrig bag repair FOLDER"
+        f"recorded in {log}; for a bag of the whole rig, copy the .shard files of all parts into one folder "
+        "and run softrig bag repair FOLDER"
     )
     return 128 + outcome.stopped if outcome.stopped else 0

@@ -163,7 +163,9 @@ def gaps(rig: Rig, recording: Recording) -> str:
         if topic in sporadic:
             wrong = next((t for a, t in pairwise([-1, *times.tolist()]) if t <= a or not schedule.due(t)), None)
             if wrong is not None:
-                results.append(f"{topic}: a message at t = {wrong / 1e9:.9g} s, which is no tick or not a later one")
+                results.append(
+                    f"{topic}: a message at t = {wrong / 1e9:.9g} s, which is not a tick, or not after the last message"
+                )
             continue
         wanted = schedule.count()
         if len(times) == wanted and times[0] == 0 and times[-1] == schedule.last:

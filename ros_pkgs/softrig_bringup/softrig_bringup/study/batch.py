@@ -42,7 +42,7 @@ class Batch:
         if self.log.passed_over:
             print_line(
                 f"{self.log.path}: {self.log.passed_over} of its lines are no rows of this study (cut off, damaged, "
-                "doubled); they are passed over, and what is missing is run"
+                "doubled); they are ignored, and missing runs are repeated"
             )
         self._open.callback(self.log.close)
         self._open.enter_context(self._pool)

@@ -118,7 +118,7 @@ class Summary(Entry):
     @model_validator(mode="after")
     def _share(self) -> Summary:
         if (self.of is not None) != (self.statistic == "share"):
-            raise ValueError("of: belongs to the statistic share, which needs it")
+            raise ValueError("of: needed by the statistic share, and allowed only there")
         return self
 
 
@@ -178,7 +178,7 @@ class Study(Entry):
     @model_validator(mode="after")
     def _fits(self) -> Study:
         if self.search is not None and (self.draws or self.grid or self.cases):
-            raise ValueError("search: goes with seeds alone, not with cases, grid or draws")
+            raise ValueError("search: can be combined with seeds, not with cases, grid or draws")
         for kind, names in (("expect", list(self.expect)), ("claims", [c.figure or k for k, c in self.claims.items()])):
             for name in names:
                 if name not in self.summaries and not (kind == "claims" and not name):

@@ -119,8 +119,8 @@ def check_seeds(study: Study, drafts: Mapping[str, Draft]) -> None:
         if any(topic.data != second[name].data for name, topic in first.items()):
             return
     raise ScenarioError(
-        f"{study.name}: {len(study.seeds or ())} seeds are one run, as no node draws a random number that reaches a "
-        "message; expected draws (--draw), or one seed; --force runs them all the same"
+        f"{study.name}: {len(study.seeds or ())} seeds give the same run, as no random number affects a message; "
+        "expected draws (--draw), or one seed; --force runs all seeds"
     )
 
 

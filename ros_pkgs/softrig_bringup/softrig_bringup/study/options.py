@@ -134,7 +134,7 @@ def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
         if name in result and "=" not in text and not _is_same(text, (options.study, *options.against)):
             name = text  # another file of that name
         if name in result:
-            raise ScenarioError(f"--against {text}: it is that scenario itself, or there twice")
+            raise ScenarioError(f"--against {text}: it is the scenario itself, or is listed twice")
         result[name] = change
     return result
 
@@ -156,7 +156,7 @@ def _drawn(name: str, text: str) -> dict[str, Any]:
         return {"choice": values(name, text)}
     result = span(name, text)
     if result.linear:
-        raise ScenarioError(f"{name}={text}: a parameter has no course, expected LOW..HIGH*N for a list")
+        raise ScenarioError(f"{name}={text}: a parameter has no time profile, expected LOW..HIGH*N for a list")
     ends: list[Any] = [result.low, result.high]
     return {"log_uniform" if result.log else "uniform": [[x] * result.count for x in ends] if result.count else ends}
 

@@ -322,7 +322,7 @@ def _notes(study: Study, samples: Mapping[str, Sample], result: Statistics) -> I
     seeds = len(study.seeds or [0])
     if same := [group for group, sample in samples.items() if sample.one_run]:
         which_groups = "" if len(same) == len(samples) else f" of {', '.join(same)}"
-        yield f"the {seeds} seeds{which_groups} are one run: its nodes draw no random number that a figure depends on"
+        yield f"the {seeds} seeds{which_groups} give the same run: no random number affects a figure"
     if any(sample.seeds > 1 and not sample.one_run and len(sample.rows) > sample.seeds for sample in samples.values()):
         yield f"n counts draws: the {seeds} seeds of a draw are not independent, and the intervals are those of draws"
     if study.draws and study.draws.method != "random" and result.lines:

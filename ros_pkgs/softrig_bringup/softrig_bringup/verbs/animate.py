@@ -71,9 +71,7 @@ def _drawing(rig: Rig) -> Drawing:
 def _window(start: float, end: float | None, length: float) -> tuple[float, float]:
     last = length if end is None else min(end, length)
     if last - start < 1e-9:  # the unit of time
-        raise ScenarioError(
-            f"--from {start:g} s to {last:g} s: expected a stretch of the run, which is {length:g} s long"
-        )
+        raise ScenarioError(f"--from {start:g} s to {last:g} s: expected a part of the run, which is {length:g} s long")
     return start, last
 
 

@@ -62,7 +62,7 @@ def _print_along(options: argparse.Namespace) -> int:
     view = linear_along(options.scenario, options.along, inputs=options.input, **_asked(options))
     out = console()
     out.print(f"{view.rig}, {len(view.A)} periods of {view.period:g} s from {view.at:.6g} s: {len(view.states)} states")
-    out.print(f"  {'states':20} {view.state_error:.1e} from the rig itself, moved a little off", markup=False)
+    out.print(f"  {'states':20} {view.state_error:.1e} from the rig itself, after a small disturbance", markup=False)
     for name, apart in view.output_errors.items():
         out.print(f"  {name:20} {apart:.1e}", markup=False)
     if options.out:

@@ -147,7 +147,7 @@ def folder_of(name: str, parent: Path) -> Path:
         raise ScenarioError(f"package name {name!r}: `run {name}` is a scenario already ({clash.name}); choose another")
     folder = parent / name
     if folder.exists() or folder.is_symlink():
-        raise ScenarioError(f"{folder} is there already; choose another name or --into DIR")
+        raise ScenarioError(f"{folder} exists already; choose another name or --into DIR")
     return folder
 
 

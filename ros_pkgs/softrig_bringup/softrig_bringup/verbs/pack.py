@@ -249,7 +249,10 @@ def write(packed: _Pack, out: Path) -> None:
     files: dict[str, bytes | Path] = {ABOUT: about.model_dump_json(indent=1).encode() + b"\n", **packed.files}
     size = sum(len(c) if isinstance(c, bytes) else c.stat().st_size for c in files.values())
     if len(files) > FILES or size > MOST:
-        raise ScenarioError(f"{len(files)} files of {size} bytes in all, expected at most {FILES} of {MOST}; --no-bag?")
+        raise ScenarioError(
+            f"{len(files)} files of {size} bytes in all, expected at most {FILES} of {MOST}; "
+            "--no-bag leaves the bag out"
+        )
     partial = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
         with naming(out), zipfile.ZipFile(partial, "w") as archive:

@@ -56,7 +56,7 @@ def main(options: argparse.Namespace) -> int:
             replace(path.with_suffix(".csv"), table)
             print(path.with_suffix(".csv"))
     if not number:
-        raise ScenarioError(f"{', '.join(map(str, runs))}: nothing that two of them share is drawn over time")
+        raise ScenarioError(f"{', '.join(map(str, runs))}: they share no signal that can be drawn over time")
     return 0
 
 

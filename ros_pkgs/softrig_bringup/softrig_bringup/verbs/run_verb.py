@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> int:
     if options.realtime and options.mode == "inprocess":
-        raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
+        raise ScenarioError("--realtime: runs in process have no wall clock; expected --mode processes or container")
     if options.view:
         _check_view(options)
     if (status := admitted(options)) is not None:  # what a pack brings has to be there before any process is
@@ -99,7 +99,7 @@ def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> in
 def _check_view(options: argparse.Namespace) -> None:
     """Refuse a rig without a page; import the library."""
     if options.only:
-        raise ScenarioError("view shows a whole rig, which --only is not")
+        raise ScenarioError("--only: view needs a whole rig")
     need("bokeh", "view")
     from ..view.serve import free_address
 
@@ -339,9 +339,7 @@ def too_slow(
     faster = f", {container} is faster" if late and options.mode == "processes" else ""
     for node, s in status.items():
         if UNFINISHED in s.get("reports", ()):
-            late.append(
-                f"the work of {node} was not done at {s['reports'][UNFINISHED][2]} of its ticks when it was due"
-            )
+            late.append(f"the result of {node} was late at {s['reports'][UNFINISHED][2]} of its ticks")
     if not late:
         return ""
     why = "".join(f", {node}: {text}" for node, text in trips.items())
@@ -405,7 +403,7 @@ def _print_remarks(console: Console, run: Run) -> None:
         if f.violated_s:
             console.print(f"{f.name}: violated {spans(f.violated_s)}; its margin is least at {f.at_s:.6g} s")
         if f.open_from_s is not None:
-            console.print(f"{f.name}: from {f.open_from_s:.6g} s on judged by what the run's end leaves decided")
+            console.print(f"{f.name}: from {f.open_from_s:.6g} s on judged as far as the run decides it")
     for claim in run.claims:
         if claim.holds is False:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))

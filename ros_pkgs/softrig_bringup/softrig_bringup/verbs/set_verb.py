@@ -45,6 +45,6 @@ def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
         if types == {int, float}:
             value, types = [float(x) for x in value], {float}
         if len(types) > 1 or not types <= {bool, int, float, str}:  # ROS has lists of one kind
-            raise ScenarioError(f"set {key}: {text!r} is no value of a parameter")
+            raise ScenarioError(f"set {key}: {text!r} cannot be the value of a parameter")
         result.setdefault(node, {})[parameter] = value
     return result

@@ -101,7 +101,7 @@ class SessionSource(Growing):
             self.session.set({f"{node}.{name}": value for name, value in set.items()})
         elif call == "step":
             if not self.control.held:
-                raise ScenarioError("it runs: pause it first")
+                raise ScenarioError("the run is not paused; pause it first")
             self._step()
             self._pace.begin()
             return "one step"
@@ -134,7 +134,7 @@ class SessionSource(Growing):
         for knob in self.control.knobs.values():
             known = flatten(session.steps[knob.node].params)[knob.name]
             knob.value = turned.get(knob.key, known)
-        return f"back to {session.t:.9g} s from {before:.9g} s: what is turned holds from there on"
+        return f"back to {session.t:.9g} s from {before:.9g} s: changes made now apply from there on"
 
     def _keep_branch(self, folder: Path) -> Path:
         """Write the abandoned branch as a scenario; OSError if it cannot be written."""

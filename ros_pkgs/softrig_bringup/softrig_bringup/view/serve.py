@@ -124,10 +124,10 @@ class _Token(AuthProvider):  # type: ignore[misc]
     def get_user_async(self) -> Any:  # every version of Bokeh asks it before it answers, of a websocket, too
         async def user(handler: RequestHandler) -> str:
             if self._names and handler.request.host_name.strip("[]") not in self._names:
-                raise HTTPError(403, reason="the page is of this host only, expected its own address")
+                raise HTTPError(403, reason="the page is served to this host only, expected its own address")
             token = handler.get_argument("token", "") or handler.get_cookie("softrig_token", "") or ""
             if not secrets.compare_digest(token.encode(), self._token.encode()):
-                raise HTTPError(403, reason="the address of the page with its token is wanted")
+                raise HTTPError(403, reason="expected the address of the page with its token")
             if handler.get_argument("token", ""):
                 handler.set_cookie("softrig_token", self._token, httponly=True, samesite="Strict")
             return "token"

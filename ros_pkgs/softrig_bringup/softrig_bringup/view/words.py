@@ -34,7 +34,7 @@ def head(source: Source, how: str, control: Control) -> str:
         state, style = f"the run is over: {state}; {after}", "over wrong" if source.outcome[:5] == "broke" else "over"
     elif not source.outcome:
         state = f"{source.end:.6g} of {scenario.duration:g} s, {_progress(source, control)}"
-    note = "; of what is old only the extremes are kept" if source.thinned else ""
+    note = "; older samples are reduced to their extremes" if source.thinned else ""
     text = "".join(
         f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.author}: {s.text}")}</p>'
         for s in list(control.entries)[-1:]

@@ -228,8 +228,8 @@ class _C(Block[CParams]):
             self.report(
                 Level.WARN,
                 "apart",
-                f"{self._file} calls {', '.join(self._calls)}, which would act on all of softrig: it runs in a process "
-                "of its own, tick by tick; answer by a status instead, or set `isolated`",
+                f"{self._file} calls {', '.join(self._calls)}, which would affect all of softrig, so it runs in a "
+                "process of its own, tick by tick; return a status instead, or set `isolated`",
             )
         return self._made(self._begin)
 

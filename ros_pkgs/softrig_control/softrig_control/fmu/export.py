@@ -116,7 +116,8 @@ def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
 def _check_text(member: Member, label: str, text: str) -> None:
     if _NOT_IN_XML.search(text):
         raise ScenarioError(
-            f"node {member.name}: {label}: {text[:100]!r} has a sign that XML does not have; expected printable text"
+            f"node {member.name}: {label}: {text[:100]!r} has a character that XML does not allow; expected printable "
+            "text"
         )
 
 
@@ -154,7 +155,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--fmi", type=int, choices=[2, 3], help="version of the FMI (2); 3 with --native")
     options = parser.parse_args(arguments)
     if options.fmi == 3 and not options.native:
-        parser.error("--fmi 3 is of FMUs without Python: add --native")
+        parser.error("--fmi 3 needs --native: only FMUs without Python have it")
     rig = rig_of(options.scenario)
     for node in options.nodes:
         print(export(rig, node, options.out, (options.fmi or 2) if options.native else 0))

@@ -79,7 +79,7 @@ class FaultParams(LinkParams):
         if self.kind in ("noise", "quantise") and min(self.value) < 0.0:
             raise ValueError(f"value = {min(self.value):g}: expected at least 0 for {self.kind}")
         if self.kind == "invalid" and self.message == types.BUTTON.name:
-            raise ValueError("kind invalid: a std_msgs/msg/Bool is true or false, it has no NaN")
+            raise ValueError("kind invalid: a std_msgs/msg/Bool is true or false and cannot be NaN")
         if self.delayed and not self.type.stamped:
             raise ValueError(f"delayed: a {self.message} has no stamp")
         if self.kind == "saturate":
@@ -93,7 +93,7 @@ class FaultParams(LinkParams):
         if self.every and not 0.0 < self.lasts < self.every:
             raise ValueError(f"lasts = {self.lasts:g} s: expected more than 0 and less than every = {self.every:g} s")
         if self.lasts and not self.every:
-            raise ValueError("lasts without every: say with start and stop when it is there")
+            raise ValueError("lasts needs every; for a single period use start and stop")
         return self
 
     def concerned(self) -> tuple[int, ...]:

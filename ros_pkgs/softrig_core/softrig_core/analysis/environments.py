@@ -269,7 +269,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             raise NotNative("its state changes its type")
         odd = [s.name for s in steps if s.changes or any(p.sporadic or p.delayed or p.unchecked for p in s.outputs)]
         if odd:
-            raise NotNative(f"{odd[0]}: its messages do not come at each tick, or its parameters change")
+            raise NotNative(f"{odd[0]}: it does not publish at each tick, or its parameters change")
         # Native instances have their state in the form of the old text, so they return to Python before it is replaced.
         self._tries -= 1
         for j in np.flatnonzero(self._k >= 0).tolist():

@@ -834,11 +834,11 @@ class Differences:
             name, rig = m.names[key] if isinstance(key, int) else key, m.rig.scenario.name
             if stepping:
                 raise RunError(
-                    f"{rig}: {stepping} goes along with {name} at {m.t:g} s, however little that is moved, and "
-                    "is no float: whole numbers, words and switches have no linear view, and what follows from it "
-                    "would be missing there; keep it as a float"
+                    f"{rig}: {stepping} changes with {name} at {m.t:g} s, however little that is disturbed, and "
+                    "is not a float: whole numbers, texts and switches cannot be linearised, so their effect would be "
+                    "missing; keep it as a float"
                 )
-            raise RunError(f"{rig}: {name} cannot be moved at {m.t:g} s, however little")
+            raise RunError(f"{rig}: {name} cannot be disturbed at {m.t:g} s, however little")
         self.errors[key], self.columns[key], self.steps[key] = best
 
     def _off(self, kept: list[int]) -> Array:

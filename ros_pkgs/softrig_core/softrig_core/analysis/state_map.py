@@ -181,7 +181,7 @@ class StateMap:
         if every > LONGEST:
             rates = ", ".join(f"{m.name} {m.params.period:g} s" for m in sorted(due, key=lambda m: -m.schedule.every))
             raise ScenarioError(
-                f"{rig.scenario.name}: all members are due together every {self.period:g} s only, {every} ticks, "
+                f"{rig.scenario.name}: all nodes are due together only every {self.period:g} s only, {every} ticks, "
                 f"expected at most {LONGEST}: choose periods that divide each other with --set ({rates})"
             )
         # Rounding keeps a time that is a whole number of periods from the next period.
@@ -363,7 +363,7 @@ class StateMap:
                 probe.value = math.nan
             for _ in range(self._every):
                 if next(ticks, None) is None:
-                    raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the whole")
+                    raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the rig")
             result = np.concatenate(self._now())
             if len(result) != len(self.start):
                 raise RunError(

@@ -156,7 +156,7 @@ def steady(
     # A run leaves an unstable point by rounding alone, so leaving counts against stable ones only.
     if steps == STEPS or (moved > STAYS and slowest < 1.0 + AT_REST):
         worst = core[int(np.argmax(np.abs(off[core]) / sizes))]
-        how = "Newton's method ends nowhere" if steps == STEPS else "what is found does not last"
+        how = "Newton's method does not converge" if steps == STEPS else "the point found is not steady"
         raise NoOperatingPoint(
             f"{rig.scenario.name}: no operating point near t = {m.t:g} s: {how}; {m.names[worst]} = "
             f"{begin[worst]:.6g} moves by {off[worst]:.3g} within {span:g} s"
@@ -218,5 +218,5 @@ def _go(m: StateMap, kept: list[int], step: Array) -> None:
         m.start = trial
         return
     raise NoOperatingPoint(
-        f"{m.rig.scenario.name}: no operating point near t = {m.t:g} s: the way there leaves the limits"
+        f"{m.rig.scenario.name}: no operating point near t = {m.t:g} s: the iteration leaves the limits"
     )

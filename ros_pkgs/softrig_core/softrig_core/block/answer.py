@@ -71,7 +71,9 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
         if port.sporadic and isinstance(result, MAPPINGS):
             return None
         names = ", ".join(map(str, result)) or "none" if isinstance(result, MAPPINGS) else f"a {type(result).__name__}"
-        raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s; the outputs it returned: {names}") from None
+        raise RunError(
+            f"{node} returned no {port.name} at t = {t / 1e9:.9g} s; the outputs it returned: {names}"
+        ) from None
     if type(message) is tuple and len(message) == port.size and usual(message, port.bound):  # nearly always
         return message
     if message is None and port.sporadic:
@@ -82,7 +84,7 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
             raise TypeError(f"{data!r:.200} is text")  # which `float` would read
         values = tuple(map(float, data))
     except (TypeError, ValueError, OverflowError) as error:
-        raise RunError(f"{node}: {port.name} is no row of numbers at t = {t / 1e9:.9g} s: {error}") from None
+        raise RunError(f"{node}: {port.name} is not a sequence of numbers at t = {t / 1e9:.9g} s: {error}") from None
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
     result = Sample(message.stamp, values) if isinstance(message, Sample) else values

@@ -113,9 +113,9 @@ def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, A
     block_class(revised, name)
     names = ", ".join(values)
     if _known_to_others(block_class.ports(revised)) != _known_to_others(block_class.ports(params)):
-        raise ParameterError(f"{names}: the ports would be others, which may not change while running")
+        raise ParameterError(f"{names}: this would change the ports, which is impossible during a run")
     if issubclass(block_class, Fixing) and block_class.fixed(revised) != block_class.fixed(params):
-        raise ParameterError(f"{names}: that part of it may not change while running")
+        raise ParameterError(f"{names}: this part cannot change during a run")
     # The rig was checked with the agreed values of all its nodes; a change of one would contradict the others.
     before, after = block_class.agreed(params), block_class.agreed(revised)
     if changed := [key for key in after if before.get(key) != after[key]]:

@@ -53,7 +53,7 @@ class PortDescription(_Checked):
             raise ValueError(f"port {self.name} has messages of {self.type}, which no port can have")
         # The numbers must be as many as described: a port of more would be allocated before it is refused.
         if math.prod(size for _, size in self.dims) > max(1, len(self.values)):
-            raise ValueError(f"port {self.name} has {len(self.values)} values, expected as many as its dims give")
+            raise ValueError(f"port {self.name} has {len(self.values)} values, expected as many as its dims require")
         return self
 
 

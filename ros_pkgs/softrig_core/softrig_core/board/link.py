@@ -216,7 +216,7 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, label: str) -> typ
     if issubclass(block, Linked):  # of a rig that is made again, with other parameters
         block = block.__bases__[1]
     if finishes(block):
-        raise ScenarioError(f"{label}: link: a block with a last answer at the end of a run runs in this process alone")
+        raise ScenarioError(f"{label}: link: a block that publishes at the end of a run can only run in this process")
     file, known = _of_signals(block, entry, params) if entry.shared else _of_board(block, entry, params, label)
     absolute = entry.model_copy(update={"firmware": str(file.resolve()), "port": absolute_port(entry.port)})
     return _class(block, absolute, json.dumps(known))  # type: ignore[arg-type]  # mypy: a class has no hash

@@ -239,7 +239,7 @@ class Base:
             return f"({value.c} != 0)"
         if isinstance(value.kind, Tuple):
             return "true" if value.kind.items else "false"
-        raise self.unknown("the truth of something that is no number", node)
+        raise self.unknown("the truth value of something that is not a number", node)
 
     def _simple(self, value: Value) -> Value:
         plain = value.c.replace("_", "").replace(".", "").replace("->", "").isalnum()

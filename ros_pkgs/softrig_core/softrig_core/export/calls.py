@@ -66,7 +66,7 @@ class Calls(Expressions):
 
     def _value_call(self, node: ast.Call) -> Value:
         if node.keywords:
-            raise self.unknown("a call with words", node)
+            raise self.unknown("a call with keyword arguments", node)
         if isinstance(node.func, ast.Name) and node.func.id == "reported_":
             return self._reported(node)
         if isinstance(node.func, ast.Name) and node.func.id == "drawn_":
@@ -218,7 +218,7 @@ class Calls(Expressions):
                 number = self._simple(one_)
                 kind = united(number.kind, best.kind)
                 if not isinstance(kind, Number):
-                    raise self.unknown(f"{called.__name__} of something that is no number", node)
+                    raise self.unknown(f"{called.__name__} of something that is not a number", node)
                 # In Python the first of equal ones is the result, and a NaN in the first place stays.
                 a, b = self.coerced(number, kind), self.coerced(best, kind)
                 best = self.fresh(kind, f"(({a.c} {'<' if called is min else '>'} {b.c}) ? {a.c} : {b.c})")

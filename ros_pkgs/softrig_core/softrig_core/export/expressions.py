@@ -76,7 +76,7 @@ class Expressions(Base):
     def _value_name(self, node: ast.Name) -> Value:
         if node.id in self.env:
             if self.env[node.id].partly:
-                raise self.unknown(f"{node.id.removeprefix('v_')} has no value on every way", node)
+                raise self.unknown(f"{node.id.removeprefix('v_')} has no value on some paths", node)
             return self.env[node.id]
         return self.of_python(self.outer(node.id, node), node)
 
@@ -94,7 +94,7 @@ class Expressions(Base):
         else:
             with suppress(LookupError):
                 return outside(self.function, name)
-        raise self.unknown(f"{name} is not known on every way", node)
+        raise self.unknown(f"{name} is not known on every path", node)
 
     def of_builtins(self, node: ast.expr) -> str:
         """Return the name of a function of Python's own that is called; empty: it is another one."""
@@ -295,7 +295,7 @@ class Expressions(Base):
             test = self.truth(value, node)
             return Value(BOOL, {"true": "false", "false": "true"}.get(test, f"(!{test})"))
         if not isinstance(value.kind, Number):
-            raise self.unknown("arithmetic of something that is no number", node)
+            raise self.unknown("arithmetic of something that is not a number", node)
         kind = INT if value.kind == BOOL else value.kind
         value = self.coerced(value, kind)
         sign = {ast.USub: "-", ast.UAdd: "+", ast.Invert: "~"}[type(node.op)]
@@ -315,7 +315,7 @@ class Expressions(Base):
         if isinstance(left.kind, Table) and left.kind.item == REAL and isinstance(right.kind, Number):
             return self._each_item(op, left, right, node)
         if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
-            raise self.unknown("arithmetic of something that is no number", node)
+            raise self.unknown("arithmetic of something that is not a number", node)
         both = left.kind if left.kind.rank >= right.kind.rank else right.kind
         # Python adds truth values as whole numbers, and only `&`, `|` and `^` of two are a truth value.
         both = INT if both == BOOL and type(op) not in BITS else both
@@ -419,7 +419,7 @@ class Expressions(Base):
             each = [self._compared(ast.Eq(), a, b, node) for a, b in pairs]
             return f"({'' if isinstance(op, ast.Eq) else '!'}({' && '.join(each) or 'true'}))"
         if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
-            raise self.unknown("a comparison of something that is no number", node)
+            raise self.unknown("a comparison of something that is not a number", node)
         both = left.kind if left.kind.rank >= right.kind.rank else right.kind
         if left.c == right.c and not math.isnan(self.unit.number(left.c)):
             return str(COMPARE[type(op)][1](1, 1)).lower()

@@ -72,7 +72,7 @@ class Reader(Calls):
         self._without_unread()
         text = "\n".join(self.lines)
         if STRIDED in text:
-            raise self.unknown("numbers of an array that do not lie one after the other", self.tree)
+            raise self.unknown("an array that is not contiguous", self.tree)
         variables = [
             f"    {self.unit.c(kind)} {variable};" for variable, kind in self.kinds_of.items() if reads(variable, text)
         ]

@@ -52,7 +52,7 @@ def export_firmware(
     """
     member = member_of(rig, node)
     if finishes(member.block_class):
-        raise ScenarioError(f"{node} cannot run on a board: it has a last answer at the end of a run")
+        raise ScenarioError(f"{node} cannot run on a board: it publishes at the end of a run")
     single = board == "arduino"
     done = export_c(rig, node, folder, rows=rows, drawn=drawn, single=single)
     described = folder / f"{done.name}.json"

@@ -74,7 +74,7 @@ class Expectation(Entry):
             The expectation depends on parameters of the machine that are not known yet.
         """
         if self.text and (self.expected, self.at_most, self.at_least) == (None, None, None):
-            raise ScenarioError(f"{self.text!r} takes numbers from nodes: expected the expectation of a rig")
+            raise ScenarioError(f"{self.text!r} refers to parameters of nodes: expected the expectation of a rig")
         return (
             # NaN compares false with bounds and infinity would satisfy "at least", so neither may pass.
             math.isfinite(value)

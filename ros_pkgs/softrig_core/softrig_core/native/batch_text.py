@@ -141,7 +141,7 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
     """
     turns = Turns(steps)
     if odd := [holding.fill.port.name for holding in turns.kept]:
-        raise NotNative(f"{odd[0]}: what is silent at times, or late, has no form in batches yet")
+        raise NotNative(f"{odd[0]}: outputs that are silent at times, or late, are not supported in batches yet")
     turns.check_times()
     program = turns.program
     before: list[str] = []

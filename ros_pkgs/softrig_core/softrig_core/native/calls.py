@@ -583,7 +583,7 @@ class Calls(Expressions):
 
     def _builtin(self, called: Any, args: list[Value], kwargs: Mapping[str, Value], node: ast.AST) -> Value:
         if kwargs:
-            raise self.unknown(f"{getattr(called, '__name__', called)} with words", node)
+            raise self.unknown(f"{getattr(called, '__name__', called)} with keyword arguments", node)
         if called is np.array and len(args) == 1:
             numbers = [self.dynamic(v) for v in self.parts(args[0], node)]
             if not all(isinstance(v.sample, (float, int)) for v in numbers):

@@ -289,7 +289,7 @@ class Engine:
         try:
             kept = text_for(kinds, core, recorded, self._make, self._typed)
             if kept is None:
-                self.native.reason = "what is varied chooses another text each time"
+                self.native.reason = "each change needs other native code"
                 return False
             self._fit = Fitted(kept, core, recorded, self._plan, self._typed)
         except NotNative as reason:

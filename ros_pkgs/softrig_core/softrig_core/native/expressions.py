@@ -66,7 +66,7 @@ class Expressions(Ways):
         # A local name that is bound on one branch only. Without this check a global object of the same name would be
         # read.
         if node.id in self.function.__code__.co_varnames:
-            raise self.unknown(f"{node.id} is not known on every way", node)
+            raise self.unknown(f"{node.id} is not known on every path", node)
         return Static(self.outer(node.id, node))
 
     def _value_tuple(self, node: ast.Tuple | ast.List) -> Value:

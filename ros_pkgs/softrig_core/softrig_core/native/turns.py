@@ -174,7 +174,7 @@ class Turns:
         if act != "advance":
             return self._due(k, self._answered(k, value, f"x{k}" * (act == "update")) + self._handed_on(k))
         if not isinstance(value, Dynamic):
-            raise NotNative(f"{self.steps[k].name}: its state stays as it is")
+            raise NotNative(f"{self.steps[k].name}: its `advance` returns the state unchanged")
         return self._due(k, [self._state(k, value)])
 
     def given(self, k: int, texts: Sequence[str]) -> list[str]:

@@ -37,7 +37,7 @@ def _view(name: str) -> Callable[..., Any]:
     """Return a function of the package that draws; the core itself draws nothing."""
     point = next(iter(importlib.metadata.entry_points(group="softrig_views", name=name)), None)
     if point is None:
-        raise ScenarioError("nothing that draws is installed: expected the package softrig_bringup")
+        raise ScenarioError("pictures need the package softrig_bringup, which is not installed")
     view: Callable[..., Any] = point.load()
     return view
 

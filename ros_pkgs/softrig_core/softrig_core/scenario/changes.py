@@ -80,7 +80,7 @@ def script(source: str, entries: Sequence[ChangeEntry], members: Iterable[Changi
         for node, values in by_node.items():
             member = known[node]
             if member.external:
-                raise ScenarioError(f"{context}: node {node} is external: its parameters are not ours to change")
+                raise ScenarioError(f"{context}: node {node} is external: softrig cannot change its parameters")
             try:
                 now[node] = permit(member.block_class, now[node], values, node)
             except (ParameterError, ValueError) as error:

@@ -56,7 +56,7 @@ class FsfbControllerParams(MotorParams):
         if self.max_age > MOST * self.period:
             raise ValueError(f"max_age = {self.max_age:g} s: expected at most {MOST} periods of {self.period:g} s")
         if self.poles and (len(self.poles) != 3 or not self.integral):
-            raise ValueError(f"poles = {list(self.poles)}: expected three, and the integrator that the third is of")
+            raise ValueError(f"poles = {list(self.poles)}: expected three, of which the third needs the integrator")
         kv, kp, ki = self.gains()
         k = kv / self.mm_per_volt, kp / self.mm_per_volt
         integral = ki / self.mm_per_volt if self.integral else None

@@ -132,7 +132,7 @@ class Departure(Reader):
         if self.is_starter:
             self.absent += [f"{name} is not ready" for name in sorted(self._silent)]
             if self._unheard > 0:
-                self.absent.append(f"{self._deaf()} does not hear {START} yet")
+                self.absent.append(f"{self._deaf()} has not subscribed to {START} yet")
             if not self.absent:
                 self._timer.cancel()
                 grid = Schedule(self._node.links.grid)

@@ -84,7 +84,7 @@ class Handshake:
                 self.missing += [name for name, _ in never]
                 absent += [f"{name} can never read {output.topic}: {why}" for name, why in never]
                 if not never and output.readers < len(matching) - len(unfit):
-                    absent.append(f"{output.topic} has {output.readers} readers of {len(matching) - len(unfit)}")
+                    absent.append(f"{output.topic} has {output.readers} of {len(matching) - len(unfit)} subscribers")
         unread = [] if node.options.links or self._local else [o.topic for o in node.outgoing.outputs if not o.readers]
         # A node announces its endpoints one by one, and without a rig nothing names the subscribers. So what the graph
         # shows counts once all publishers are there and it has not changed for a while. A program that is no ROS node

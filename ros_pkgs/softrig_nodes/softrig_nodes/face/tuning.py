@@ -44,7 +44,7 @@ class Tuning:
             if removed:
                 raise ParameterError(f"parameter {removed[0]} has no value, expected one")
             if pace is not None and not adapter.hold.has_pace:
-                raise ParameterError("run.pace is that of the node of the clock, in lockstep, once it has begun")
+                raise ParameterError("run.pace can be set only at the node of the clock, in lockstep, after the start")
             run: Any = run_options({p.name: plain(p) for p in parameters if p.name.startswith("run.")})
             replaced = adapter.step.set(values) if values else []
             # The pace is set last, because it cannot fail any more: a call sets all of its parameters or none.

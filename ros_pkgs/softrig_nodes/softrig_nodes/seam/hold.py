@@ -121,7 +121,7 @@ class Hold:
             self._keep_publishing()
         elif command == "step":
             if not self.held:
-                return False, "it runs: pause it first"
+                return False, "the run is not paused; pause it first"
             self.steps += steps
             self._pace.begin()
         else:

@@ -69,7 +69,7 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
         if tried >= most:
             raise TooManyError(f"more than {most} combinations of valve points; expected at most about 13 units")
     if not np.isfinite(least):
-        raise InfeasibleError(f"no dispatch of {demand:g} MW has all units but one on valve points")
+        raise InfeasibleError(f"no dispatch of {demand:g} MW has all units except one on valve points")
     back = np.empty_like(best)
     back[order] = best
     return back

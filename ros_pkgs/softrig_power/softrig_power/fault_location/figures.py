@@ -14,7 +14,7 @@ from .records.record import Status
 def _last(signals: SignalMap, topic: str, names: tuple[str, ...], name: str) -> float:
     _, values = signals[f"{topic}/{names.index(name)}"]
     if not len(values):
-        raise ValueError(f"nothing came on {topic}")
+        raise ValueError(f"no message was recorded on {topic}")
     return float(values[-1])
 
 

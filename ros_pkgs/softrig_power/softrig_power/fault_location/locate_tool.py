@@ -44,7 +44,7 @@ def _locate(arguments: Sequence[str]) -> int:
         p, budget = _params(options, record.frequency), _budget(options, record.sync)
         if options.bag is not None:
             to_bag(record, options.bag)
-        window = "as told"
+        window = "as set by --window"
         if options.window is None:
             p, window = windowed(record, p), f"from the change at {inception(record, p.frequency):.6g} s"
     except (ParameterError, ComtradeFileError) as error:

@@ -50,7 +50,7 @@ class NetworkParams(Params):
     @model_validator(mode="after")
     def _apart(self) -> Self:
         if self.source1_angle == self.source2_angle and self.source1_voltage == self.source2_voltage:
-            raise ValueError("both sources are equal: the line carries nothing, no flow can be asked of it")
+            raise ValueError("both sources are equal, so the line carries no power and no flow can be set")
         return self
 
     @property

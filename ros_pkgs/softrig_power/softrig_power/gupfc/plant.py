@@ -191,7 +191,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             return Command(amplitude if k == 0 else self._conduction(amplitude, max(v_dc, TRIP[0])), angle, omega)
         bad = last.bad + 1
         angle = math.remainder(last.angle + p.period * last.omega, math.tau)
-        text = f"{CONVERTERS[k]}: command {tuple(command)} cannot be meant"
+        text = f"{CONVERTERS[k]}: command {tuple(command)} is implausible"
         if bad == 1:
             self.report(Level.WARN, f"{CONVERTERS[k]}_held", f"{text}: the last one holds for a period")
             return Command(last.sigma, angle, last.omega, bad)

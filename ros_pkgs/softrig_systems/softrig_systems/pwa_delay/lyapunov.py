@@ -81,7 +81,7 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
                 f"method = {self.method!r}, system = {self.system!r}: a certificate of levels has no matrices to watch"
             )
         if self.method == "constant":
-            raise ValueError("method = 'constant': only the functional of theorem1 can be watched; expected it")
+            raise ValueError("method = 'constant': only the functional of theorem1 can be monitored; expected theorem1")
         return self
 
 

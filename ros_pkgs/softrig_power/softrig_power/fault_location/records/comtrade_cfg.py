@@ -222,7 +222,7 @@ def _counts(fields: list[str], lines: int) -> tuple[int, int]:
     if total != analog + switches:
         raise SettingsError(f"line 2: {total} channels, but {analog} analog and {switches} status channels")
     if total > lines:
-        raise SettingsError(f"tells of {total} channels in {lines} lines")
+        raise SettingsError(f"states {total} channels in {lines} lines")
     return analog, switches
 
 
@@ -327,7 +327,7 @@ def sections(data: bytes) -> Iterator[tuple[str, str, bytes]]:
         if name == "DAT" and form != "ASCII":  # a byte of the data may look like anything: no search within them
             size = int(match[3] or len(data) - begin)
             if begin + size > len(data):
-                raise SettingsError(f"the head of the data tells of {size} bytes, there are {len(data) - begin}")
+                raise SettingsError(f"the head of the data states {size} bytes, but there are {len(data) - begin}")
             following = head.search(data, begin + size)
             yield name, form, data[begin : begin + size]
         else:

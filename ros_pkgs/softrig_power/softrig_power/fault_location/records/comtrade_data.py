@@ -58,7 +58,7 @@ def read_samples(settings: Settings, data: bytes) -> Samples:
         least = 8 + np.dtype(_KINDS[settings.form]).itemsize * count + 2 * words
     if last > 2 * (len(data) // least + 1):
         raise DataError(
-            f"tells of {last} samples, but its data are {len(data)} bytes, room for {len(data) // least} at most"
+            f"states {last} samples, but its data are {len(data)} bytes, room for {len(data) // least} at most"
         )
     n, stamps, raw = _ascii(settings, data) if settings.form == "ASCII" else _binary(settings, data, words)
     notes = []
@@ -67,7 +67,7 @@ def read_samples(settings: Settings, data: bytes) -> Samples:
     if len(n) < last:
         notes.append(f"the data end after {len(n)} of {last} samples")
     if len(n) > last:
-        notes.append(f"only the {last} samples that the settings tell of are used, of {len(n)}")
+        notes.append(f"only the {last} samples that the settings state are used, of {len(n)}")
     return Samples(n[:last], stamps[:last], raw[:last], tuple(notes))
 
 
