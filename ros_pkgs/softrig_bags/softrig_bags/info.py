@@ -13,7 +13,13 @@ from .read import WALL_CLOCK
 
 
 def describe(path: Path | str) -> str:
-    """Return files, times, topics and the writer's notes of a bag; BagError if there is none, or it is damaged."""
+    """Return files, times, topics and the writer's notes of a bag.
+
+    Raises
+    ------
+    BagError
+        No bag there, or it is damaged.
+    """
     with BagReader(path) as bag:
         counts = bag.counts
         size = sum(f.stat().st_size for f in bag.files)

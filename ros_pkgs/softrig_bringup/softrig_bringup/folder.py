@@ -230,7 +230,13 @@ class ResultsFolder:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Lock the folder while the block runs; ScenarioError if another call is at work there."""
+        """Lock the folder against other calls while the block runs.
+
+        Raises
+        ------
+        ScenarioError
+            Another call is at work there.
+        """
         self.begin()
         try:
             yield
@@ -240,7 +246,13 @@ class ResultsFolder:
 
 @contextmanager
 def alone_in(path: Path) -> Iterator[None]:
-    """Lock a folder that is not a `ResultsFolder`, or create it; ScenarioError if another call is at work there."""
+    """Lock a folder that is not a `ResultsFolder` against other calls; create it if needed.
+
+    Raises
+    ------
+    ScenarioError
+        Another call is at work there.
+    """
     lock = _lock(path)
     if isinstance(lock, str):
         raise ScenarioError(_writing(path, lock))

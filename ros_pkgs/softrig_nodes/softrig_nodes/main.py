@@ -96,7 +96,13 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
 
 
 def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middleware) -> Adapter:
-    """Declare and validate (ParameterError) a node's parameters, make its block and adapter; a `Group` drives it."""
+    """Declare and validate a node's parameters, make its block and its adapter; a `Group` drives it.
+
+    Raises
+    ------
+    ParameterError
+        Bad parameters.
+    """
     params, options = _parameters(node, block_class)
     require_distinct(*block_class.ports(params))
     if options.link:

@@ -184,7 +184,13 @@ class BagWriter:
         self._open = False
 
     def salvage(self) -> int:
-        """Close the bag after a failed write, without what could not be written; return how many messages are lost."""
+        """Close the bag after a failed write, without the data that could not be written.
+
+        Returns
+        -------
+        int
+            Number of messages lost.
+        """
         # This frees the space that index and metadata need on a full disk.
         self._reserve.unlink(missing_ok=True)
         lost = self._file.discard() + self._unwritten

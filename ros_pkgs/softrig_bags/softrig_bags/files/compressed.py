@@ -197,7 +197,13 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
 
 
 def plain_messages(block: Block) -> Block:
-    """Return messages uncompressed, those of mode message expanded, whatever the metadata; Damaged if one cannot be."""
+    """Return messages uncompressed: those of mode message are expanded, regardless of the metadata.
+
+    Raises
+    ------
+    Damaged
+        One of them cannot be expanded.
+    """
     long = np.flatnonzero(block.size >= 4)
     starts = block.at if len(long) == len(block) else block.at[long]
     packed_rows = long[numbers_at(block.raw, starts, "<u4") == int.from_bytes(_MAGIC, "little")]

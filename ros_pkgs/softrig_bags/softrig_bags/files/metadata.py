@@ -72,7 +72,13 @@ def loaded(text: str | bytes) -> Any:
 
 
 def read_metadata(path: Path) -> Metadata:
-    """Read metadata.yaml; Damaged if it is not YAML, or has entries of types that no version of rosbag2 writes."""
+    """Read metadata.yaml.
+
+    Raises
+    ------
+    Damaged
+        It is not YAML, or its entries have types that no version of rosbag2 writes.
+    """
     if path.stat().st_size > LIMIT:
         raise Damaged(f"metadata.yaml is longer than {LIMIT} bytes")
     try:

@@ -53,7 +53,7 @@ def write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: s
 
 
 def _standing_alone(text: str, file: Path) -> Scenario:
-    """Load a scenario file before it is moved into place; ScenarioError if it cannot run by itself."""
+    """Load a scenario file before it is moved into place: one that cannot run by itself is never placed there."""
     with TemporaryDirectory() as folder:
         draft = Path(folder) / file.name
         draft.write_text(text)

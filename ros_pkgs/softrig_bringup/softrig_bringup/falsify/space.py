@@ -61,7 +61,13 @@ class Over(Span):
 
 
 def parse(key: str, text: str) -> Over:
-    """Read one range, as `span` does; a key that ends with ``+`` adds to its signal."""
+    """Read one range; a key that ends with ``+`` adds to its signal.
+
+    Raises
+    ------
+    ScenarioError
+        Another form, a range upside down, a logarithm of what is not above 0.
+    """
     key = key.strip()
     adds, key = key.endswith("+"), key.removesuffix("+").strip()
     over = Over(**asdict(span(key, text)), key=key, adds=adds)

@@ -45,7 +45,7 @@ EVERY = {"law.h": "$name.h", "scenario.yaml": "$name.yaml", "README.md": "README
 
 
 def new_native(name: str, folder: Path, language: str, command: str) -> Path:
-    """Write a law in another language than Python; return its scenario.
+    """Write a law in another language than Python.
 
     Parameters
     ----------
@@ -57,6 +57,11 @@ def new_native(name: str, folder: Path, language: str, command: str) -> Path:
         One of `LANGUAGES`.
     command : str
         Command with which a user starts softrig.
+
+    Returns
+    -------
+    Path
+        Its scenario.
     """
     spec = LANGUAGES[language]
     values = {"name": name, "NAME": name.upper(), "language": spec.title, "softrig": command}

@@ -213,7 +213,12 @@ def _binaries(path: Path) -> tuple[str, ...] | None:
 
 
 def check_name(name: str) -> None:
-    """Refuse, by a ScenarioError, a package with the name of an installed module, or of one that softrig imports."""
+    """Refuse a package with the name of an installed module, or of one that softrig imports.
+
+    Raises
+    ------
+    ScenarioError
+    """
     # A package with the name of a module that is imported elsewhere would run in its place.
     if name in sys.stdlib_module_names or name in _STARTS or keyword.iskeyword(name):
         whose = "Python's own"
@@ -249,7 +254,12 @@ def _is_rig_package(name: str) -> bool:
 
 
 def check_scenario(folder: Path, scenario: Scenario, about: About) -> None:
-    """Refuse, by a ScenarioError, a scenario that uses files outside its pack, or packages that it does not name."""
+    """Refuse a scenario that uses files outside its pack, or packages that it does not name.
+
+    Raises
+    ------
+    ScenarioError
+    """
     for node, entry in scenario.nodes.items():
         if entry.package not in about.packages and not is_ours(entry.package):
             raise ScenarioError(

@@ -109,7 +109,13 @@ def placeless(value: Any) -> Any:
 
 
 def about(folder: Path) -> About:
-    """Read the ``pack.json`` of an unpacked file; ScenarioError if it is missing or has another form."""
+    """Read the ``pack.json`` of an unpacked file.
+
+    Raises
+    ------
+    ScenarioError
+        It is missing or has another form.
+    """
     try:
         return About.model_validate_json((folder / ABOUT).read_bytes())
     except OSError:
@@ -166,7 +172,12 @@ def _sweep(packs: Path) -> None:
 
 
 def unpack(path: Path, folder: Path) -> dict[str, str]:
-    """Unpack a file below a new folder, and nowhere else; return the SHA-256 of each file by its place.
+    """Unpack a file below a new folder, and nowhere else.
+
+    Returns
+    -------
+    dict of str to str
+        SHA-256 of each file by its place.
 
     Raises
     ------

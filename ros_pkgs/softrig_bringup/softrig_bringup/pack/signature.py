@@ -22,7 +22,13 @@ def signature_path(path: Path) -> Path:
 
 
 def sign(path: Path, key: Path) -> Path:
-    """Sign a file, with the signature beside it; ScenarioError if ssh-keygen is not there or refuses the key."""
+    """Sign a file; the signature is written beside it.
+
+    Raises
+    ------
+    ScenarioError
+        There is no ssh-keygen here, or it refuses the key.
+    """
     signature_path(path).unlink(missing_ok=True)
     done = _keygen(["sign", "-f", str(key), "-n", NAMESPACE, str(path)])
     if done.returncode or not signature_path(path).is_file():

@@ -71,7 +71,13 @@ def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[floa
 
 
 def check_plots(rig: Rig) -> None:
-    """Check that the rig has the signals of its scenario's plots; a ScenarioError names one that it lacks."""
+    """Check that the rig has the signals of its scenario's plots.
+
+    Raises
+    ------
+    ScenarioError
+        A plot names a signal that the rig does not have.
+    """
     known = signal_units(rig)
     for entry in rig.scenario.plots:
         if entry.x:

@@ -16,7 +16,7 @@ _SCALES = {
 
 
 def shades(scale: str, shares: Sequence[float] | Array) -> list[str]:
-    """Return the colours at places of a scale, as ``#rrggbb``; empty for NaN.
+    """Return the colours at places of a scale.
 
     Parameters
     ----------
@@ -24,6 +24,11 @@ def shades(scale: str, shares: Sequence[float] | Array) -> list[str]:
         Dark to light.
     shares : floats of shape (n,)
         From 0 to 1; NaN has no colour.
+
+    Returns
+    -------
+    list of str
+        As ``#rrggbb``; empty for NaN.
     """
     known = np.array([[int(c[k : k + 2], 16) for k in (0, 2, 4)] for c in _SCALES[scale].split()], float)
     positions = np.clip(np.asarray(shares, float), 0.0, 1.0)

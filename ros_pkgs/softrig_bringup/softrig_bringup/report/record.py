@@ -125,7 +125,13 @@ class RunRecord(Data):
 
 
 def read_run(directory: Path) -> RunRecord:
-    """Read ``metrics.json`` of a run directory; a ScenarioError names file, and missing or wrong key."""
+    """Read ``metrics.json`` of a run directory.
+
+    Raises
+    ------
+    ScenarioError
+        No such file, not JSON, or a key is missing or of the wrong type; names file and key.
+    """
     path = directory / "metrics.json"
     try:
         return record_of(json_of(path.read_text()), str(path))
@@ -138,7 +144,13 @@ def read_run(directory: Path) -> RunRecord:
 
 
 def record_of(content: Any, source: str) -> RunRecord:
-    """Check the content of a metrics.json; a ScenarioError names `source`, and the key that is missing or wrong."""
+    """Check the content of a metrics.json.
+
+    Raises
+    ------
+    ScenarioError
+        A key is missing or of the wrong type; names `source` and key.
+    """
     try:
         record = RunRecord.read(content)
         for status in record.nodes.values():

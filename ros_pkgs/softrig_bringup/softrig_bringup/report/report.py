@@ -39,7 +39,7 @@ def write_report(
     check: bool = False,
     head: Sequence[Element] = (),
 ) -> tuple[list[RunRecord], list[str]]:
-    """Write one page about one or more runs; return the runs and their names.
+    """Write one page about one or more runs.
 
     Parameters
     ----------
@@ -55,6 +55,11 @@ def write_report(
 
     head : sequence of Element
         Elements at the top of the page, in place of its own title.
+
+    Returns
+    -------
+    list of RunRecord, list of str
+        The runs and their names.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from ..options.run_options import folder_name, placement_of
 
 
 def run_part(rig: Rig, options: argparse.Namespace) -> int:
-    """Run the nodes that `options` name until the rig has ended; return the exit status.
+    """Run the nodes that `options` name until the rig has ended; their recordings stay in shards.
 
     Figures need what all parts have recorded: `softrig bag repair` makes one bag of all shards in a folder.
 
@@ -26,6 +26,11 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
         The whole.
     options : argparse.Namespace
         Of the verb `run`.
+
+    Returns
+    -------
+    int
+        Exit status.
 
     Raises
     ------

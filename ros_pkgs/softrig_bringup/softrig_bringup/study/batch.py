@@ -126,7 +126,13 @@ class Log:
         return len(self._known)
 
     def knows(self, case: Case) -> bool:
-        """Return whether the row of a case exists; ScenarioError if the row of that number is of another run."""
+        """Return whether the row of a case exists.
+
+        Raises
+        ------
+        ScenarioError
+            The row of that number is of another run.
+        """
         known = self._known.get(case.number)
         if known is not None and known != _content(case._asdict()):
             raise ScenarioError(

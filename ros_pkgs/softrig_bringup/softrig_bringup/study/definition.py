@@ -218,7 +218,13 @@ def list_studies() -> dict[str, Path]:
 
 
 def load_study(name: str) -> Study:
-    """Read a study by name or file; a ScenarioError names the file, and the key that is wrong."""
+    """Read a study by name or file.
+
+    Raises
+    ------
+    ScenarioError
+        Unknown, not YAML, an unknown key or a bad value; names file and key.
+    """
     path = Path(name)
     if not (path.suffix in (".yaml", ".yml") and isfile(path)):
         known = list_studies()

@@ -34,7 +34,7 @@ from .work import Work, recorded, repeated, repeating, value_of, warm
 def run_study(
     study: Study, out: Path, *, workers: int | None = None, scheduler: str = "", distinct: bool = False
 ) -> Log:
-    """Run those runs of a study that are not done yet; return the log of its rows, closed.
+    """Run those runs of a study that are not done yet.
 
     Parameters
     ----------
@@ -44,6 +44,11 @@ def run_study(
         See `softrig_optim.sweep.Workers`.
     distinct : bool
         Whether to refuse, before the first row, seeds that all produce the same run; see `check_seeds`.
+
+    Returns
+    -------
+    Log
+        The rows, closed.
 
     Raises
     ------

@@ -25,7 +25,13 @@ ROWS = "rows.jsonl"
 
 
 def of_folder(folder: Path) -> Study:
-    """Read the definition of the study whose results are in a folder; ScenarioError if it is missing or has changed."""
+    """Read the definition of the study whose results are in a folder.
+
+    Raises
+    ------
+    ScenarioError
+        It has none, or a scenario, code or file of it has changed since.
+    """
     if not (folder / FILE).is_file():
         raise ScenarioError(f"{folder}: no {FILE} in it, expected results of a study; run it again to write that file")
     study = make_study(read_mapping(folder / FILE))

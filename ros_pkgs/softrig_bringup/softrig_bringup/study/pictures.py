@@ -29,7 +29,7 @@ MOST = 6  # figures, and groups of curves, that a picture can hold
 def draw_study(
     study: Study, rows: Sequence[Row], signals: Iterable[Row], folder: Path, units: Mapping[str, str], also: str = ""
 ) -> list[Path]:
-    """Draw the pictures that suit the study's form; return their files in order.
+    """Draw the pictures that suit the study's form.
 
     Parameters
     ----------
@@ -41,6 +41,11 @@ def draw_study(
         Unit of each figure, parameter (``node.name``) and signal.
     also : str
         pdf or png: a file of this kind beside each SVG, by matplotlib.
+
+    Returns
+    -------
+    list of Path
+        Of the pictures, in their order.
     """
     paths = []
     for number, (title, figure) in enumerate(_figures(study, rows, signals, units), 1):

@@ -163,7 +163,13 @@ def repeated(name: str, work: Work, row: Mapping[str, Any]) -> None:
 
 
 def repeating(work: Work) -> dict[str, Any]:
-    """Run a case twice and return its row, which a search uses; a ScenarioError names the first difference."""
+    """Run a case twice and return its row, which a search uses.
+
+    Raises
+    ------
+    ScenarioError
+        The second run differs; names the first difference.
+    """
     row, again = run(work), run(work)
     if row["figures"] != again["figures"]:
         raise ScenarioError(

@@ -71,7 +71,7 @@ def _checkout() -> bool:
 
 
 def new_package(name: str, parent: Path, kind: str = "both", swap: Replaced | None = None) -> Path:
-    """Write a package; return its folder.
+    """Write a package.
 
     Parameters
     ----------
@@ -83,6 +83,11 @@ def new_package(name: str, parent: Path, kind: str = "both", swap: Replaced | No
         ``both``, ``law``, ``for`` or ``plant``; see `KINDS`.
     swap : Replaced, optional
         Of kind ``for``: what it replaces.
+
+    Returns
+    -------
+    Path
+        Its folder.
 
     Raises
     ------

@@ -243,7 +243,13 @@ def _described(packed: _Pack, publication: Publication) -> _Pack:
 
 
 def write(packed: _Pack, out: Path) -> None:
-    """Write a file, equal bytes for equal runs; ScenarioError if it is larger than what may be unpacked."""
+    """Write a file; the same run produces the same bytes.
+
+    Raises
+    ------
+    ScenarioError
+        It would be larger than the limit for unpacking.
+    """
     listed = {name: _sha256(content) for name, content in packed.files.items()}
     about = packed.about.model_copy(update={"files": listed})
     files: dict[str, bytes | Path] = {ABOUT: about.model_dump_json(indent=1).encode() + b"\n", **packed.files}

@@ -173,7 +173,7 @@ class _Results(NamedTuple):
 
 
 def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
-    """Write the results of a run, print its figures, and judge it; return the exit status.
+    """Write the results of a run, print its figures, and judge it.
 
     Parameters
     ----------
@@ -181,6 +181,11 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
         Of the verb `run`.
     folder : ResultsFolder or None
         Target folder; None: nothing is written.
+
+    Returns
+    -------
+    int
+        Exit status.
 
     Raises
     ------

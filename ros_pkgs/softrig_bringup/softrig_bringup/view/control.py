@@ -57,7 +57,13 @@ class Knob:
         return self.kind in (int, float) and isinstance(self.value, int | float | None)
 
     def read(self, text: str) -> Any:
-        """Convert text that a user has typed to a value; ScenarioError if it is not a valid one."""
+        """Convert text that a user has typed to a value.
+
+        Raises
+        ------
+        ScenarioError
+            The text is not a valid value.
+        """
         if self.kind is str:
             return text
         if not self.number:

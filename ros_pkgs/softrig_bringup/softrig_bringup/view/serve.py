@@ -146,7 +146,13 @@ class _ToPage(RequestHandler):
 
 
 def free_address(address: str) -> tuple[str, int]:
-    """Return host and port of a page, a free one for port 0; ScenarioError if nothing can be served there."""
+    """Return host and port of a page, a free one for port 0.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing can be served there.
+    """
     host, _, port = address.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"
     if not port.isdecimal() or int(port) > 65535:

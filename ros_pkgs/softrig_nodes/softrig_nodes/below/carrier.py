@@ -107,7 +107,13 @@ class Carrier:
         return lambda data: publish(data) if self._lent else put(handle, data)
 
     def put(self, handle: int, data: bytes) -> None:
-        """Put a message into the ring when it has room; RCLError if an earlier message could not be published."""
+        """Put a message into the ring; wait while the ring is full.
+
+        Raises
+        ------
+        RCLError
+            An earlier message could not be published.
+        """
         if not self._room:
             self._count_room()
         k, self._filled = self._next, True
@@ -153,7 +159,13 @@ class Carrier:
         prefer(self._thread, 0)
 
     def drain(self) -> None:
-        """Wait, for a bounded time, until all messages in the ring are published; RCLError if one is not."""
+        """Wait, for a bounded time, until all messages in the ring are published.
+
+        Raises
+        ------
+        RCLError
+            A message could not be published, or not in time.
+        """
         limit = time.time() + PATIENCE
         until = (ctypes.c_long * 2)(int(limit))
         while self._room < SLOTS:

@@ -199,7 +199,13 @@ class Tolerances:
 
 
 def allowed_delay(duration: Any) -> int | None:
-    """Return a goal_time_tolerance in ns, None: without limit; BadGoal if it is negative and not -1 s."""
+    """Return a goal_time_tolerance in ns; None: the goal is waited for without limit.
+
+    Raises
+    ------
+    BadGoal
+        Negative and not -1 s.
+    """
     ns = nanoseconds(duration)
     if ns < 0 and ns != -SECOND:
         raise BadGoal(f"goal_time_tolerance is {to_s(ns):g} s, expected a time, 0 or -1")

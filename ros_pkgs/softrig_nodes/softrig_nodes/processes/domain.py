@@ -145,7 +145,13 @@ def join_domain(number: int) -> int:
 
 
 def require_loopback() -> None:
-    """Ensure that nodes of this host can find each other; RunError if the loopback interface is down."""
+    """Ensure that nodes of this host can find each other.
+
+    Raises
+    ------
+    RunError
+        The loopback interface is down: each node would wait for the others in vain.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         try:
             request = fcntl.ioctl(any_socket, SIOCGIFFLAGS, struct.pack("256s", b"lo"))

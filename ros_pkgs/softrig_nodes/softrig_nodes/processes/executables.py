@@ -24,7 +24,13 @@ MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it co
 
 
 def find_executable(package: str, executable: str) -> Path:
-    """Find ``lib/<package>/<executable>`` of a sourced workspace; a ScenarioError lists what the package has."""
+    """Find ``lib/<package>/<executable>`` of a sourced workspace.
+
+    Raises
+    ------
+    ScenarioError
+        It is not there; lists what the package has.
+    """
     installed = prefixes()
     for prefix in installed:
         path = prefix / "lib" / package / executable

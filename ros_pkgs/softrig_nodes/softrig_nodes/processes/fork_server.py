@@ -66,7 +66,12 @@ class Forked:
         return self._ended(0.0)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end; subprocess.TimeoutExpired if it does not come in time."""
+        """Wait for the end.
+
+        Raises
+        ------
+        subprocess.TimeoutExpired
+        """
         status = self._ended(timeout)
         if status is None:
             raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)

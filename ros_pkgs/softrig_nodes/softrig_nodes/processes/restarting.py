@@ -18,7 +18,13 @@ Again = Callable[[int], object]
 
 
 def check_restart(rig: Rig, placement: Placement) -> None:
-    """Check that nodes of a run can be started again, if that is requested; a ScenarioError has the reason."""
+    """Check that nodes of a run can be started again, if that is requested.
+
+    Raises
+    ------
+    ScenarioError
+        They cannot with this placement; the error contains the reason.
+    """
     if not placement.restart:
         return
     outside = [m.name for m in rig.members if m.external]

@@ -85,7 +85,13 @@ class LiveSenders:
             self.record(due)
 
     def believe(self, stamp: int, delayed: bool = False) -> None:
-        """Check that a stamp is close to the present time; Refused if it is not."""
+        """Check that a stamp is close to the present time.
+
+        Raises
+        ------
+        Refused
+            It is not.
+        """
         off = stamp - self.clock()
         # A delayed message may be old on purpose; a stamp from the future is wrong in any case.
         if off > self.window or (-off > self.window and not delayed):

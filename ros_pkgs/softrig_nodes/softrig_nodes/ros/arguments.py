@@ -25,7 +25,13 @@ _FORMS = {
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
-    """Raise errors of rclpy about arguments and names as a ValueError with one line."""
+    """Raise errors of rclpy about arguments and names as a ValueError with one line.
+
+    Raises
+    ------
+    ValueError
+        An argument is unknown or has another form, or a name is none.
+    """
     with warnings.catch_warnings():
         # Before the error itself rclpy warns that it cannot clean up a half-created node.
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -36,7 +42,13 @@ def plain_errors() -> Iterator[None]:
 
 
 def non_ros_arguments(argv: Sequence[str]) -> list[str]:
-    """Return the arguments after the first that are not ROS arguments; ValueError if one of ROS's is invalid."""
+    """Return the arguments after the first that are not ROS arguments.
+
+    Raises
+    ------
+    ValueError
+        One of ROS's arguments is invalid.
+    """
     # Otherwise rcl also logs the error that is raised here.
     set_logger_level("rcl", LoggingSeverity.FATAL)
     try:

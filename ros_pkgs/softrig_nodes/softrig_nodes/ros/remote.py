@@ -126,7 +126,7 @@ class Remote:
 
 
 def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> list[str]:
-    """Set parameters of running nodes, those of one node all or none; return what went wrong, a line a node.
+    """Set parameters of running nodes, those of one node all or none.
 
     Parameters
     ----------
@@ -134,6 +134,11 @@ def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> 
         Values by node and name.
     patience : float
         How long to wait for each node, s.
+
+    Returns
+    -------
+    list of str
+        What went wrong, a line a node.
     """
     refusals: list[str] = []
     waiting = set(wanted)

@@ -61,7 +61,13 @@ class TickReader:
         self._known: dict[bytes, frozenset[str]] = {}
 
     def __call__(self, data: bytes) -> tuple[int, frozenset[str]]:
-        """Return the stamp in ns and the names of what was published; Refused if the bytes are malformed."""
+        """Return the stamp in ns and the names of what was published.
+
+        Raises
+        ------
+        Refused
+            Malformed bytes.
+        """
         # Behind the stamp the bytes repeat from tick to tick, so they are parsed once. Other encodings than CDR in
         # little endian are left to the parser.
         sent = self._known.get(data[12:]) if data[:4] == b"\x00\x01\x00\x00" else None
