@@ -2,6 +2,8 @@
 
 Data that people write are models of pydantic (`softrig_core.entry`). Its import takes a sixth of the start of a command
 that only shows what a run has written, and a model takes several times as long to create as a dataclass.
+msgspec would do the same in less code, but rosdistro has no key for it, and a package that a ROS distribution may
+include can only depend on packages with one.
 """
 
 from __future__ import annotations
