@@ -11,8 +11,10 @@ import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from glob import escape
+from io import BytesIO
 from os.path import isfile
 from pathlib import Path
+from shutil import copyfileobj
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
@@ -265,13 +267,9 @@ def write(packed: _Pack, out: Path) -> None:
             for name, content in files.items():
                 entry = zipfile.ZipInfo(name)  # of 1980: a file's own time would make every pack another
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-                with archive.open(entry, "w", force_zip64=True) as into:
-                    if isinstance(content, bytes):
-                        into.write(content)
-                        continue
-                    with content.open("rb") as file:
-                        while block := file.read(1 << 20):
-                            into.write(block)
+                source = BytesIO(content) if isinstance(content, bytes) else content.open("rb")
+                with source, archive.open(entry, "w", force_zip64=True) as into:
+                    copyfileobj(source, into)
         partial.replace(out)
     finally:
         partial.unlink(missing_ok=True)
