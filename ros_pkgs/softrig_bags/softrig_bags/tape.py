@@ -9,9 +9,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, Recording, Sample, param, to_ns
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
@@ -44,14 +43,12 @@ class TapeParams(BlockParams):
     until: float = param(0.0, "what came from this time on is left out; 0: nothing is", "s", ge=0.0)
     inputs: tuple[str, ...] = param((), "ports of the nodes that read it, as JSON; see `written`")
 
-    @model_validator(mode="after")
-    def _ports(self) -> Self:
+    def _check(self) -> None:
         for text in self.inputs:
             try:
                 port_of(text)
             except (ValueError, TypeError, KeyError, AttributeError) as error:
                 raise ValueError(f"inputs: {text[:80]!r} is no port: {error}") from None
-        return self
 
 
 @lru_cache(maxsize=2)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Generic, Self, TypeVar
+from typing import Generic, TypeVar
 
-from pydantic import model_validator
 from softrig_core import BlockParams, param, to_ns
 
 T = TypeVar("T")
@@ -56,12 +55,10 @@ class ProfileParams(BlockParams):
         (0.0,), "times of the steps, increasing from 0", "s", min_length=1, each=(0.0, 1e9), live=True
     )
 
-    @model_validator(mode="after")
-    def _times(self) -> Self:
+    def _check(self) -> None:
         if self.times[0] != 0.0:
             raise ValueError(f"times begins with {self.times[0]:g} s, expected 0")
         StepProfile(self.times, self.times)
-        return self
 
     def rows(self, field: str) -> list[tuple[float, ...]]:
         """Cut the flat list `field` (all channels at the first time, then at the next, ...) into one row a time.

@@ -9,9 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple, Self
-
-from pydantic import model_validator
+from typing import NamedTuple
 
 from .block.params import Params, param
 from .timebase import SECOND, to_ns, to_s
@@ -40,14 +38,12 @@ class Goal(Params):
     velocities: tuple[float, ...] = param((), "as the positions; may be missing", live=True)
     accelerations: tuple[float, ...] = param((), "as the velocities, which they need; may be missing", live=True)
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check(self) -> None:
         ns = [to_ns(t) for t in self.times]
         if any(b <= a for a, b in pairwise(ns)):
             raise ValueError(f"times {list(self.times)}: expected each later than the one before")
         if self.accelerations and not self.velocities:
             raise ValueError("accelerations without velocities: expected both, or positions alone")
-        return self
 
     def require(self, joints: int) -> None:
         """Check the number of values.

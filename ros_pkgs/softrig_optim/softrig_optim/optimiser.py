@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, button, command, param, scalars, to_ns
 from softrig_core.kit.dense import total
 from typing_extensions import TypeVar
@@ -61,15 +60,13 @@ class SearchParams(AlgorithmParams, BlockParams):
     )
     autostart: bool = param(True, "search from the first tick instead of waiting for the start button")
 
-    @model_validator(mode="after")
-    def _times(self) -> Self:
+    def _check(self) -> None:
         if self.hold_time < self.period:
             raise ValueError(f"hold_time = {self.hold_time:g} s is shorter than period = {self.period:g} s")
         if self.measure_window > self.hold_time:
             raise ValueError(
                 f"measure_window = {self.measure_window:g} s is longer than hold_time = {self.hold_time:g} s"
             )
-        return self
 
     def search(self, rng: np.random.Generator) -> Search:
         """Create a search."""
@@ -543,13 +540,11 @@ class OptimiserParams(SearchParams):
     objective: str = param("objective", "name of the measured objective")
     maximise: bool = param(True, "whether a larger objective is better")
 
-    @model_validator(mode="after")
-    def _search(self) -> Self:
+    def _check(self) -> None:
         if len(self.lower) != len(self.channels):
             raise ValueError(f"{len(self.lower)} values of lower for {len(self.channels)} channels")
         # This builds a search to check its settings now, because an error inside a run would come too late.
         self.search(np.random.default_rng(0))
-        return self
 
     def search(self, rng: np.random.Generator) -> Search:
         """Create a search over the channels."""

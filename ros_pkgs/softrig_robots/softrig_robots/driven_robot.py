@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import BlockParams, Compiled, Level, Params, Plant, RunError, param, rk4, to_ns, to_s
 from typing_extensions import TypeVar
 
@@ -40,13 +39,11 @@ class Motors(Params):
     back_emf_constant: PerJoint = param((0.26,), "back-emf constant K_b", "V s/rad")
     gear: PerJoint = param((0.01,), "gear coefficient r: joint speed over motor speed", "")
 
-    @model_validator(mode="after")
-    def _positive(self) -> Self:
+    def _check(self) -> None:
         for name in ("resistance", "inductance", "torque_constant", "back_emf_constant", "gear"):
             require_positive(f"motors.{name}", getattr(self, name))
         for name in ("inertia", "damping"):
             require_positive(f"motors.{name}", getattr(self, name), or_zero=True)
-        return self
 
     def table(self, joints: int) -> dict[str, Vector]:
         """Return every parameter with one value a joint.
@@ -69,8 +66,7 @@ class DrivenRobotParams(BlockParams):
     speed_limit: float = param(100.0, "joint speed above which the run ends", "rad/s", gt=0.0, live=True)
     motors: Motors = Motors()
 
-    @model_validator(mode="after")
-    def _steps(self) -> Self:
+    def _check(self) -> None:
         """Refuse a step for which the armature's pole R/L is unstable, which would end as an excessive speed."""
         fastest = max(self.motors.resistance) / min(self.motors.inductance)
         least = math.ceil(self.period * fastest / LARGEST_STEP)
@@ -79,7 +75,6 @@ class DrivenRobotParams(BlockParams):
                 f"substeps = {self.substeps}: expected at least {least}, so that a step of the integration is not "
                 f"beyond {LARGEST_STEP:g} L/R, with R/L up to {fastest:g} 1/s"
             )
-        return self
 
 
 class Friction(NamedTuple):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Marker, Port, array, joint_state, param, pose, reference
 
 from .joints import PerJoint, require_positive, spread
@@ -31,14 +30,12 @@ class RobotDynamicsParams(BlockParams):
         0.05, "speed that smooths the change of sign of the URDF's Coulomb friction", "rad/s", gt=0.0
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         from .rigid_body import check_robot
 
         armature = spread("armature", self.armature, len(self.joints))
         require_positive("armature", armature, or_zero=True)
         check_robot(self.urdf, self.tool, self.joints, armature, mimic=True)
-        return self
 
 
 class State(NamedTuple):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from types import SimpleNamespace
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator
 from softrig_core import Params
 
 
@@ -65,11 +65,9 @@ def require_positive(name: str, values: Sequence[float], *, or_zero: bool = Fals
 class JointGains(Params):
     """Gains of a law that runs once a joint: no negative ones, one number for all joints or one a joint."""
 
-    @model_validator(mode="after")
-    def _not_negative(self) -> Self:
+    def _check(self) -> None:
         for name in type(self).model_fields:
             require_positive(name, getattr(self, name), or_zero=True)
-        return self
 
     def of_joint(self, prefix: str, joint: int, joints: int) -> SimpleNamespace:
         """Return the gains of one joint, a number each, by their names.

@@ -6,9 +6,8 @@ import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port, RunError, param, resource, state_type
 from softrig_core.kit.confined import STRANGE
 from softrig_core.run.purity import HIDDEN
@@ -58,10 +57,9 @@ class CParams(BlockParams):
         """Return whether anything is named: without, a node has no ports."""
         return bool(self.library or self.sources or self.header)
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         if not self.named:
-            return self
+            return
         if bool(self.library) == bool(self.sources):
             raise ValueError("expected either library, which is built, or sources, which softrig compiles")
         if not self.header:
@@ -76,7 +74,6 @@ class CParams(BlockParams):
         self.constants  # noqa: B018 - checks them
         if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.publishes.ports}:
             raise ValueError(f"{min(shared)} is both read and published")
-        return self
 
     @property
     def plant(self) -> bool:

@@ -7,9 +7,8 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port, RunError, param
 from softrig_core.block.schedule import Schedule, rational
 from softrig_core.kit.confined import STRANGE
@@ -49,8 +48,7 @@ class FmuParams(BlockParams):
         60.0, "wall-clock time after which a call of an isolated FMU is aborted", "s", gt=0.0, le=1e6
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         if self.fmu:
             unit = self.unit
             if self.method not in unit.interfaces:
@@ -59,7 +57,6 @@ class FmuParams(BlockParams):
             start_values(unit, self.values)
             if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.publishes.ports}:
                 raise ValueError(f"{min(shared)} is both an input and an output")
-        return self
 
     @cached_property
     def unit(self) -> Description:

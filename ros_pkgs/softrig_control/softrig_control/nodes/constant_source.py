@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
-from pydantic import model_validator
 from softrig_core import Block, Port, joint_state, param
 from typing_extensions import TypeVar
 
@@ -19,12 +18,10 @@ class ScalarSourceParams(ProfileParams):
     units: tuple[str, ...] = param(("V",), "unit of each, or one of all", min_length=1)
     values: tuple[float, ...] = param((400.0,), "value of every channel from each time on", live=True)
 
-    @model_validator(mode="after")
-    def _sizes(self) -> Self:
+    def _check(self) -> None:
         self.rows("values")
         if len(self.units) not in (1, len(self.channels)):
             raise ValueError(f"{len(self.units)} units for {len(self.channels)} channels")
-        return self
 
 
 class CommandSourceParams(ScalarSourceParams):

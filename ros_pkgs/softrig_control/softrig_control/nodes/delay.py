@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, Level, Port, Sample, jit, param, to_ns
 
 from .unit_delay import LinkParams
@@ -32,12 +31,10 @@ class FieldbusDelayParams(LinkParams):
     )
     restamp: bool = param(False, "stamp with the time of delivery, for a receiver that pairs messages by stamp")
 
-    @model_validator(mode="after")
-    def _steps_fit(self) -> Self:
+    def _check(self) -> None:
         self.check_size("quantum")
         if not self.type.stamped:
             raise ValueError(f"message {self.message} has no stamp, which is needed to order messages")
-        return self
 
 
 # Messages of a block. A tick copies the block into which it inserts, so a block is small even if the line is long.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, Port, Sample, button, param, to_ns
 from softrig_core.wire import types
 
@@ -70,8 +69,7 @@ class FaultParams(LinkParams):
     )
     active: bool = param(True, "whether it is switched on at first; the button `toggle` switches", live=True)
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         count = len(self.concerned())
         for name, values in (("value", self.value), ("lower", self.lower)):
             if len(values) not in ((1, count) if name == "value" else (0, 1, count)):
@@ -94,7 +92,6 @@ class FaultParams(LinkParams):
             raise ValueError(f"lasts = {self.lasts:g} s: expected more than 0 and less than every = {self.every:g} s")
         if self.lasts and not self.every:
             raise ValueError("lasts needs every; for a single period use start and stop")
-        return self
 
     def concerned(self) -> tuple[int, ...]:
         """Return the indices of the values that the fault changes.

@@ -5,9 +5,8 @@ actuators.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, array, command, param
 
 
@@ -19,13 +18,11 @@ class ForwardCommandParams(BlockParams):
     commands: str = param("forward_command_controller/commands", "topic of the array", min_length=1)
     initial: tuple[float, ...] = param((0.0,), "command before the first array; one of all or one each", min_length=1)
 
-    @model_validator(mode="after")
-    def _sizes(self) -> Self:
+    def _check(self) -> None:
         for name in ("units", "initial"):
             n = len(getattr(self, name))
             if n not in (1, len(self.joints)):
                 raise ValueError(f"{n} {name} for {len(self.joints)} joints, expected 1 or {len(self.joints)}")
-        return self
 
 
 class ForwardCommand(Block[ForwardCommandParams]):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_core import BlockParams, Plant, Port, param
 
 from ..discretise import matmul
@@ -28,11 +27,9 @@ class LinearPlantParams(BlockParams):
     output: str = param("output/v_dc/position", "output signal, topic/channel/field")
     output_unit: str = param("V", "its unit")
 
-    @model_validator(mode="after")
-    def _model(self) -> Self:
+    def _check(self) -> None:
         sample_transfer_function(self.num, self.den, self.period)
         self.signals()
-        return self
 
     def signals(self) -> tuple[Port, Port]:
         """Return the ports (command, output)."""

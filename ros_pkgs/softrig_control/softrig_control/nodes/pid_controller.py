@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, param
 
 from .signal_name import signal_port
@@ -45,8 +44,7 @@ class PidControllerParams(BlockParams):
     manual: bool = param(False, "the command is `manual_command`; the change back to automatic is bumpless", live=True)
     manual_command: float = param(0.0, "command in manual mode", live=True)
 
-    @model_validator(mode="after")
-    def _law(self) -> Self:
+    def _check(self) -> None:
         if self.u_min >= self.u_max:
             raise ValueError(f"u_min = {self.u_min:g}: expected less than u_max = {self.u_max:g}")
         if self.form == "parallel" and (self.t_i or self.t_d):
@@ -56,7 +54,6 @@ class PidControllerParams(BlockParams):
         if self.form != "parallel" and (self.ki or self.kd):
             raise ValueError(f"ki, kd: the {self.form} form has t_i and t_d; set form to parallel")
         self.signals()
-        return self
 
     def signals(self) -> tuple[Port, ...]:
         """Return the ports measurement, command, and reference where there is one."""

@@ -8,9 +8,8 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import CellType, FunctionType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Port, Sample, param
 from softrig_core.scenario.port_text import ports_of
 
@@ -117,8 +116,7 @@ class PolicyParams(BlockParams):
     low: tuple[float, ...] = param((), "least value of each action; empty: the limits of the ports")
     high: tuple[float, ...] = param((), "largest value of each action")
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         for key, signals, ports in (("observe", self.observe, self.input_ports), ("act", self.act, self.output_ports)):
             known = {f"{p.topic}/{label}" for p in ports for label in p.labels}
             for signal in signals:
@@ -132,7 +130,6 @@ class PolicyParams(BlockParams):
         for signal, (low, high) in zip(self.act, self.bounds(), strict=True):
             if not low < high:
                 raise ValueError(f"bounds of {signal}: {low:g} is not below {high:g}")
-        return self
 
     @cached_property
     def input_ports(self) -> tuple[Port, ...]:

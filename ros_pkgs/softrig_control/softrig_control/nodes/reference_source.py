@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
 from pydantic import model_validator
 from softrig_core import Block, Port, param, reference
@@ -40,13 +40,11 @@ class ReferenceSourceParams(ProfileParams):
         stated = isinstance(values, dict) and (values.get("positions") or values.get("accelerations"))
         return {"velocities": ()} | values if stated else values
 
-    @model_validator(mode="after")
-    def _sizes(self) -> Self:
+    def _check(self) -> None:
         if not self.fields:
             raise ValueError("none of positions, velocities, accelerations is given")
         for field in self.fields:
             self.rows(field)
-        return self
 
 
 class ReferenceSource(Block[ReferenceSourceParams]):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, param, scalars
 from softrig_core.judge.formula import margin_unit, read, variables
 from softrig_core.judge.live import Live, Opened
@@ -34,8 +33,7 @@ class RequirementMonitorParams(BlockParams):
     topic: str = param("requirement", "topic of the margin", min_length=1)
     ends: bool = param(False, "end the run when the requirement is violated")
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         for first, second in (("names", "signals"), ("constants", "values"), ("scale_units", "scale_values")):
             if len(getattr(self, first)) != len(getattr(self, second)):
                 raise ValueError(f"{len(getattr(self, first))} {first}, but {len(getattr(self, second))} {second}")
@@ -47,7 +45,6 @@ class RequirementMonitorParams(BlockParams):
             self.read()
         except ScenarioError as error:
             raise ValueError(str(error)) from None
-        return self
 
     def inputs(self) -> tuple[Port, ...]:
         """Return the ports that the text describes."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import BlockParams, Plant, Port, param
 from softrig_core.block.port import XYZ
 from softrig_core.wire import types
@@ -41,8 +40,7 @@ class LinkParams(BlockParams):
         (), "values published before the first arrival; empty: the safe values of the link"
     )
 
-    @model_validator(mode="after")
-    def _names_fit(self) -> Self:
+    def _check(self) -> None:
         if self.topic_in == self.topic_out:
             raise ValueError(f"topic_in and topic_out are both {self.topic_in!r}")
         known = self.type.sizes
@@ -53,7 +51,6 @@ class LinkParams(BlockParams):
             raise ValueError(f"dims {list(self.dims)} with sizes {list(self.sizes)}, expected {expected}")
         for name in ("initial", "units", "limits"):
             self.check_size(name)
-        return self
 
     @property
     def type(self) -> types.MessageType:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, array, button, param, scalars
 
 from .carima import Carima
@@ -26,12 +25,10 @@ class CertificateParams(BlockParams):
     K: tuple[float, ...] = param((), "feedback u = K x to be checked, with Qbar; empty: solve the Riccati equation")
     Qbar: tuple[float, ...] = param((), "terminal cost to be checked, row by row")
 
-    @model_validator(mode="after")
-    def _model(self) -> Self:
+    def _check(self) -> None:
         n = len(companion(self.carima())[0])
         if (len(self.K), len(self.Qbar)) not in ((0, 0), (n, n * n)):
             raise ValueError(f"K has {len(self.K)}, Qbar {len(self.Qbar)} values, expected {n} and {n * n}, or none")
-        return self
 
     def carima(self) -> Carima:
         """Sample the model."""

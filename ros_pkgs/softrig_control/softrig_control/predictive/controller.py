@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, param, scalars
 from typing_extensions import TypeVar
 
@@ -56,8 +55,7 @@ class GpcLawParams(BlockParams):
     command: str = param("command/u/effort", "signal that is commanded, topic/channel/field")
     command_unit: str = param("V", "its unit")
 
-    @model_validator(mode="after")
-    def _law(self) -> Self:
+    def _check(self) -> None:
         if not self.u_min < self.u_max:
             raise ValueError(f"u_min = {self.u_min:g}, u_max = {self.u_max:g}: expected u_min < u_max")
         if not self.trip_low < self.trip_high:
@@ -67,7 +65,6 @@ class GpcLawParams(BlockParams):
         for signal in (self.measured, self.reference, self.command):
             split(signal)
         Gpc(self.carima(), self.tuning())
-        return self
 
     def tuning(self) -> Tuning:
         """Return horizons and weight."""

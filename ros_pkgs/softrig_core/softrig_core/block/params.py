@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, get_args, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, get_args, runtime_checkable
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from ..entry import Entry
 from ..errors import closest
@@ -72,7 +72,8 @@ class derived(property):  # noqa: N801, a decorator
 class Params(Entry):
     """Base of every parameter model.
 
-    Nested models are written with dots outside (``rig.pwm_bits``).
+    Nested models are written with dots outside (``rig.pwm_bits``). A class whose values have to fit together has a
+    method ``_check(self)``, which raises a ValueError where they do not. It is called after those of its bases.
     """
 
     @field_validator("*")
@@ -91,6 +92,20 @@ class Params(Entry):
                     raise ValueError(f"expected at most {LARGEST:g} in magnitude")
                 raise ValueError(f"expected {low:g} to {high:g}, got {_shown(number)}")
         return value
+
+    _checks: ClassVar[tuple[Callable[[Any], None], ...]] = ()
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **keywords: Any) -> None:
+        super().__pydantic_init_subclass__(**keywords)
+        # Parameters are created for each run of a study, so their classes are not searched each time.
+        cls._checks = tuple(vars(each)["_check"] for each in reversed(cls.__mro__) if "_check" in vars(each))
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        for check in self._checks:
+            check(self)
+        return self
 
 
 def _each(field: Any) -> tuple[float, float]:

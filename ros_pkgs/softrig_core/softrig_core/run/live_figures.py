@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import model_validator
 
 from ..block.held import RunningBlock
 from ..block.params import param
@@ -42,13 +41,11 @@ class FiguresParams(WatchParams):
         "and the topics that it is on, each as a port",
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         try:
             figures_in(self.given()["figures"]), self.inputs()
         except ScenarioError as error:
             raise ValueError(str(error)) from None
-        return self
 
     def given(self) -> dict[str, str]:
         """Return the figures and the ports as text."""

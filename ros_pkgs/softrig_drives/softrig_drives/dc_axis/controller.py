@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
 from softrig_control.nodes.delay import whole_periods
 from softrig_control.predictor import CommandReplay, Commands
@@ -49,8 +48,7 @@ class FsfbControllerParams(MotorParams):
     aw: bool = param(False, "anti-windup: no integration further into saturation", live=True)
     step_mm: float = param(10.0, "change of the set point per press of a button", "mm", gt=0.0, live=True)
 
-    @model_validator(mode="after")
-    def _works(self) -> Self:
+    def _check(self) -> None:
         if self.delay_from == "fixed" and self.delay > self.max_age:
             raise ValueError(f"delay = {self.delay:g} s is beyond max_age = {self.max_age:g} s")
         if self.max_age > MOST * self.period:
@@ -61,7 +59,6 @@ class FsfbControllerParams(MotorParams):
         k = kv / self.mm_per_volt, kp / self.mm_per_volt
         integral = ki / self.mm_per_volt if self.integral else None
         require_stable(closed_loop_poles(self.a, self.b, (0.0, 1.0), k, integral))
-        return self
 
     def gains(self) -> tuple[float, float, float]:
         """Return kv, kp and ki."""

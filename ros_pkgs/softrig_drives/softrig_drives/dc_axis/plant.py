@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_core import Plant, param
 
@@ -27,11 +26,9 @@ class DcAxisParams(MotorParams):
     coulomb: float = param(40.0, "deceleration by Coulomb friction", "mm/s^2", ge=0.0)
     stiction: float = param(60.0, "acceleration up to which the axis at rest sticks", "mm/s^2", ge=0.0)
 
-    @model_validator(mode="after")
-    def _break_away(self) -> Self:
+    def _check(self) -> None:
         if self.stiction < self.coulomb:
             raise ValueError(f"stiction {self.stiction:g} mm/s^2 is below coulomb {self.coulomb:g} mm/s^2")
-        return self
 
 
 class State(NamedTuple):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
 from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_control.profile import StepProfile
@@ -34,15 +33,13 @@ class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
     current_limit: float = param(3.2, "rig: range of the current sensor", "A", gt=0.0)
     current_noise: float = param(0.0, "rig: standard deviation of the current sensor's noise", "A", ge=0.0)
 
-    @model_validator(mode="after")
-    def _load(self) -> Self:
+    def _check(self) -> None:
         try:
             StepProfile(self.load_times, self.load_torques)
         except ValueError as error:
             raise ValueError(f"load_times, load_torques: {error}") from None
         if self.bridge_drop >= self.vmax:
             raise ValueError(f"bridge_drop = {self.bridge_drop:g} V leaves no voltage of vmax = {self.vmax:g} V")
-        return self
 
 
 class State(NamedTuple):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, param
 from typing_extensions import TypeVar
 
@@ -18,13 +17,11 @@ class SpeedControlParams(BlockParams):
         21.8, "largest speed whose current the rig's sensor can measure", "rad/s", gt=0.0, live=True
     )
 
-    @model_validator(mode="after")
-    def _set_point(self) -> Self:
+    def _check(self) -> None:
         if abs(self.set_point) > self.reference_limit:
             raise ValueError(
                 f"set_point = {self.set_point:g} rad/s: beyond reference_limit = {self.reference_limit:g} rad/s"
             )
-        return self
 
 
 P = TypeVar("P", bound=SpeedControlParams, default=SpeedControlParams)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import sqrt
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, param, to_ns, to_s
 
 from .estimator import EstimatorParams, Flux, make_estimator
@@ -33,13 +32,11 @@ class DtcControllerParams(EstimatorParams, BlockParams):
         0.0, "added to both measured currents (extension: the ADC's +delta q)", "A", live=True
     )
 
-    @model_validator(mode="after")
-    def _ramp(self) -> Self:
+    def _check(self) -> None:
         if self.magnetising_time and self.flux_ramp > self.magnetising_time:
             raise ValueError(
                 f"flux_ramp = {self.flux_ramp:g} s does not end within magnetising_time = {self.magnetising_time:g} s"
             )
-        return self
 
 
 class State(NamedTuple):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_control.fuzzy import And, TakagiSugeno, sum_rules
 from softrig_core import param
 
@@ -32,13 +31,11 @@ class LsrmFuzzyParams(SpeedControlParams):
     )
     conjunction: And = param("product", "AND of a rule's two premises", live=True)
 
-    @model_validator(mode="after")
-    def _terms(self) -> Self:
+    def _check(self) -> None:
         if len(self.rules) != TERMS * TERMS:
             raise ValueError(f"rules has {len(self.rules)} values, expected {TERMS} x {TERMS}")
         if len(self.peaks) != TERMS or any(b <= a for a, b in pairwise(self.peaks)):
             raise ValueError(f"peaks {list(self.peaks)}: expected {TERMS} increasing numbers")
-        return self
 
 
 class State(NamedTuple):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_control.profile import StepProfile
 from softrig_core import Block, BlockParams, param
 
@@ -26,12 +25,10 @@ class LsrmLoadParams(BlockParams):
     )
     mu: float = param(0.05, "friction coefficient of the added mass", ge=0.0, le=10.0, live=True)
 
-    @model_validator(mode="after")
-    def _masses(self) -> Self:
+    def _check(self) -> None:
         if not self.times or self.times[0] != 0.0:
             raise ValueError(f"times {list(self.times)}: expected the first to be 0")
         StepProfile(self.times, self.masses)
-        return self
 
 
 class LsrmLoad(Block[LsrmLoadParams]):

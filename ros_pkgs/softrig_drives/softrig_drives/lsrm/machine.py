@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Array, Params, jit, param
 
 Triple = tuple[float, float, float]
@@ -36,8 +35,7 @@ class Geometry(Params):
     h: float = param(6.5e-3, "half length of the overlap ramp", "m", gt=0.0, le=1.0)
     w: float = param(3e-3, "half width of the rounded edges of the slope (fringing, 1.5 air gaps)", "m", gt=0.0, le=1.0)
 
-    @model_validator(mode="after")
-    def _shape(self) -> Self:
+    def _check(self) -> None:
         if self.w >= self.h:
             raise ValueError(f"w = {self.w:g} m: expected less than h = {self.h:g} m, the edges overlap")
         if self.c - self.h - self.w < 0.0 or self.c + self.h + self.w > self.tau / 2:
@@ -45,7 +43,6 @@ class Geometry(Params):
                 f"the ramp from c - h - w = {self.c - self.h - self.w:g} m to c + h + w = {self.c + self.h + self.w:g} "
                 f"m leaves 0 to tau/2 = {self.tau / 2:g} m"
             )
-        return self
 
     def numbers(self) -> Array:
         """Return the constants in the order of `profile`: the parameters, then values derived from them."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_core import param
 from softrig_core.kit.dense import total
 
@@ -27,14 +26,12 @@ class LsrmMracParams(Mechanics, SpeedControlParams):
     theta_min: Triple = param((1.0, 0.0, -20.0), "lower bounds of theta (kg, N s/m, N)", live=True)
     theta_max: Triple = param((20.0, 60.0, 20.0), "upper bounds of theta (kg, N s/m, N)", live=True)
 
-    @model_validator(mode="after")
-    def _theta(self) -> Self:
+    def _check(self) -> None:
         for low, first, high in zip(self.theta_min, self.theta_0, self.theta_max, strict=True):
             if not low <= first <= high:
                 raise ValueError(f"theta_0 {self.theta_0} is not between {self.theta_min} and {self.theta_max}")
         if min(self.gains) < 0.0:
             raise ValueError(f"gains {self.gains}: expected none negative")
-        return self
 
 
 class State(NamedTuple):

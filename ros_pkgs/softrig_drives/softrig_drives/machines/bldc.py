@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_control.profile import StepProfile
 from softrig_core import BlockParams, Level, Plant, command, jit, param, resolving_step, to_ns
 
@@ -43,12 +42,10 @@ class BldcPlantParams(Mechanics, BlockParams):
         )
         return resolving_step(self.period, self.substeps, *self.mechanical_rates(), currents)
 
-    @model_validator(mode="after")
-    def _steps(self) -> Self:
+    def _check(self) -> None:
         self.step()
         if self.J_load:
             raise ValueError("J_load: this machine has one mass")
-        return self
 
 
 class State(NamedTuple):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Array
 
 from . import induction
@@ -16,10 +15,8 @@ from .plant import MachineParams, MachinePlant, Nine, Three
 class InductionPlantParams(InductionConstants, MachineParams):
     """Machine, inverter, mechanics."""
 
-    @model_validator(mode="after")
-    def _resolved(self) -> Self:
+    def _check(self) -> None:
         self.step()
-        return self
 
     def rates(self, L: float = math.inf) -> list[tuple[float, str]]:
         """Add those of the currents."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import model_validator
 from softrig_core import BlockParams, jit, param
 
 SQRT3 = 3.0**0.5
@@ -34,13 +33,11 @@ class InverterParams(BlockParams):
     )
     trip_voltage: float = param(1000.0, "DC voltage at which it trips", "V", gt=0.0, le=1e6, live=True)
 
-    @model_validator(mode="after")
-    def _inverter(self) -> Self:
+    def _check(self) -> None:
         if self.dead_time >= 0.5 * self.period:
             raise ValueError(f"dead_time = {self.dead_time:g} s: expected less than half the period {self.period:g} s")
         if self.trip_voltage <= self.U_dc:
             raise ValueError(f"trip_voltage = {self.trip_voltage:g} V: expected more than U_dc = {self.U_dc:g} V")
-        return self
 
 
 @jit

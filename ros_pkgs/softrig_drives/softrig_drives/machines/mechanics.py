@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Self
 
-from pydantic import model_validator
 from softrig_control.profile import StepProfile
 from softrig_core import RESOLVED, Params, jit, param
 
@@ -32,15 +30,13 @@ class Mechanics(Params):
         (0.0,), "load torque from each of these times on", "N m", each=(-1e6, 1e6), live=True
     )
 
-    @model_validator(mode="after")
-    def _mechanics(self) -> Self:
+    def _check(self) -> None:
         try:
             StepProfile(self.load_times, self.load_torques)
         except ValueError as error:
             raise ValueError(f"load_times, load_torques: {error}") from None
         if 0.0 < self.T_static < self.T_coulomb:
             raise ValueError(f"T_static = {self.T_static:g} N m: expected 0 or at least T_coulomb = {self.T_coulomb:g}")
-        return self
 
     def mechanical_rates(self) -> list[tuple[float, str]]:
         """Return bounds of the rates of the mechanics, 1/s, with their parameters, as `resolving_step` takes them."""

@@ -6,10 +6,9 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_control.profile import StepProfile
 from softrig_core import Array, Level, Plant, Port, param, resolving_step, to_ns
 from typing_extensions import TypeVar
@@ -52,11 +51,9 @@ class MachineParams(Mechanics, InverterParams):
         """Return the largest step of the integration at a low speed, s."""
         return resolving_step(self.period, self.substeps, *self.rates())
 
-    @model_validator(mode="after")
-    def _steps(self) -> Self:
+    def _check(self) -> None:
         if any(b - a < self.period for a, b in pairwise(self.load_times)):
             raise ValueError(f"load_times: expected at least a period, {self.period:g} s, between two changes")
-        return self
 
     def inverter_numbers(self) -> Array:
         """Return the constants of the inverter in the order of `step.stepper`."""
@@ -176,10 +173,8 @@ class MachinePlant(Plant[P]):
 class PmsmPlantParams(SynchronousConstants, MachineParams):
     """Machine, inverter, mechanics."""
 
-    @model_validator(mode="after")
-    def _resolved(self) -> Self:
+    def _check(self) -> None:
         self.step()
-        return self
 
     def rates(self, L: float = math.inf) -> list[tuple[float, str]]:
         """Add those of the currents, and of their swing with the rotor."""

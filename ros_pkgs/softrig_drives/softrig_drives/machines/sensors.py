@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, joint_state, param, scalars, vector3
 
 from .ports import CURRENTS, SHAFT, SHAFT_MEAS
@@ -37,13 +36,11 @@ class ShaftSensorParams(BlockParams):
         600.0, "bandwidth of the loop that tracks the angle and estimates the speed", "rad/s", gt=0.0, live=True
     )
 
-    @model_validator(mode="after")
-    def _bandwidth(self) -> Self:
+    def _check(self) -> None:
         if self.bandwidth * self.period > 0.5:
             raise ValueError(
                 f"bandwidth = {self.bandwidth:g} rad/s: expected at most half of 1/period = {1.0 / self.period:g} 1/s"
             )
-        return self
 
 
 class ShaftState(NamedTuple):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Array, Params, jit, param
 
 TABLE = 7  # place of the first number of the tables among the constants
@@ -38,12 +37,11 @@ class SynchronousConstants(Params):
         (), "flux tables: psi_q, for each i_d all i_q", "Wb", each=(-1e3, 1e3), max_length=10201
     )
 
-    @model_validator(mode="after")
-    def _tables(self) -> Self:
+    def _check(self) -> None:
         sizes = len(self.table_i_d), len(self.table_i_q)
         shape = *sizes, len(self.table_psi_d), len(self.table_psi_q)
         if shape == (0, 0, 0, 0):
-            return self
+            return
         if min(sizes) < 2 or shape[2:] != (sizes[0] * sizes[1],) * 2:
             raise ValueError(
                 f"flux tables of {shape[0]} i_d, {shape[1]} i_q, {shape[2]} psi_d, {shape[3]} psi_q: expected at least "
@@ -68,7 +66,6 @@ class SynchronousConstants(Params):
             raise ValueError(
                 "table_psi_q: expected 0 at i_q = 0, as the other half of the tables is their mirror image"
             )
-        return self
 
     def _slopes(self) -> tuple[Array, Array, Array]:
         """Return the tables as arrays [2, i_d, i_q], and their slopes over i_d and over i_q, H."""

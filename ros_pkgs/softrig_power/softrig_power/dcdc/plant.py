@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Literal, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_control.profile import StepProfile
 from softrig_core import BlockParams, Level, Plant, command, param, resolving_step, scalars, to_ns
 
@@ -47,8 +46,7 @@ class DcdcPlantParams(BlockParams):
         (0.0,), "load current besides that of R, from each of these times on", "A", each=(-1e6, 1e6), live=True
     )
 
-    @model_validator(mode="after")
-    def _circuit(self) -> Self:
+    def _check(self) -> None:
         try:
             StepProfile(self.load_times, self.load_currents)
         except ValueError as error:
@@ -56,7 +54,6 @@ class DcdcPlantParams(BlockParams):
         if self.i_sat and self.L_sat > self.L:
             raise ValueError(f"L_sat = {self.L_sat:g} H: expected at most L = {self.L:g} H")
         self.step()
-        return self
 
     def step(self) -> float:
         """Return the largest step of the integration, s."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import field_validator
 from softrig_core import (
     Jobs,
     Level,
@@ -62,14 +62,12 @@ class DispatchParams(SolverParams):
         Units.read(source)
         return source
 
-    @model_validator(mode="after")
-    def _conditions(self) -> Self:
+    def _check(self) -> None:
         units = Units.read(self.unit_table)
         if self.loss_table:
             Losses.read(self.loss_table, units.ids)
         if self.conditioned(units) and self.method != "certified":
             raise ValueError(f"method = {self.method}: losses, ramps and reserve are for the method certified")
-        return self
 
     def conditioned(self, units: Units) -> bool:
         """Return whether there is more to meet than limits and demand."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, array, button, param
 
 from .method.confidence import ErrorBudget, confidence
@@ -29,13 +28,11 @@ class FaultLocatorParams(LocatorParams, BlockParams):
     samples: int = param(1200, "samples of a record; of streams the newest so many are kept", ge=2, le=10_000_000)
     truth_km: float | None = param(None, "true distance, for the error in the diagnostics", "km", ge=0.0, le=3000.0)
 
-    @model_validator(mode="after")
-    def _fast_enough(self) -> Self:
+    def _check(self) -> None:
         try:
             check_travel(self.line.aerial.tau / self.period, 1.0 / self.period, self)
         except RecordError as error:
             raise ValueError(str(error)) from None
-        return self
 
 
 class State(NamedTuple):

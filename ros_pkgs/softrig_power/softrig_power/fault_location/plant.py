@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import model_validator
@@ -46,14 +46,12 @@ class LinePlantParams(RigParams, BlockParams):
                 return {**values, "period": 1.0 / RATES[profile]}
         return values
 
-    @model_validator(mode="after")
-    def _period_of_profile(self) -> Self:
+    def _check(self) -> None:
         rate = RATES[self.measurement.profile]
         if abs(self.period * rate - 1.0) > 1e-9:
             raise ValueError(
                 f"period = {self.period:g} s, but {self.measurement.profile} samples every {1.0 / rate:g} s"
             )
-        return self
 
 
 class LinePlant(Plant[LinePlantParams]):

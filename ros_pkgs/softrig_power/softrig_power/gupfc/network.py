@@ -5,10 +5,8 @@ from __future__ import annotations
 import cmath
 import math
 from functools import cached_property
-from typing import Self
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Complex, Params, param
 
 from ..lines.section import Section
@@ -47,11 +45,9 @@ class NetworkParams(Params):
     dc_voltage: float = param(16070.0, "nominal DC voltage", "V", gt=0.0, le=1e6)
     dc_time: float = param(0.01, "stored energy of the DC link over the power base, T", "s", ge=1e-4, le=1.0)
 
-    @model_validator(mode="after")
-    def _apart(self) -> Self:
+    def _check(self) -> None:
         if self.source1_angle == self.source2_angle and self.source1_voltage == self.source2_voltage:
             raise ValueError("both sources are equal, so the line carries no power and no flow can be set")
-        return self
 
     @property
     def omega(self) -> float:

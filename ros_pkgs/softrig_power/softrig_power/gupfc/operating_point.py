@@ -7,11 +7,10 @@ import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import model_validator
 from softrig_core import BlockParams, param
 from softrig_core.block.params import flatten
 
@@ -36,14 +35,12 @@ class DeviceParams(BlockParams):
     network: NetworkParams = NetworkParams()
     initial: References = References()
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check(self) -> None:
         circuit(self.network, self.step)
         cycle = 1.0 / (self.network.frequency * self.period)
         if self.waveform == "pulse" and abs(cycle - CYCLE) > 1e-6:
             raise ValueError(f"waveform = pulse: a cycle has {cycle:.6g} control periods, expected {CYCLE}")
         _flow(self.network, self.initial)
-        return self
 
     def agreed(self) -> dict[str, Any]:
         """Return the quantities on which all nodes of the device must agree, to start in one steady state."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import Block, Level, Params, param
 from softrig_core.kit.newest import Newest
 
@@ -36,11 +35,9 @@ class ArrayParams(Params):
         """Return the function that computes the characteristic under the values of pv/environment."""
         return Newest(lambda environment: characteristic(self.module, *split(environment)))
 
-    @model_validator(mode="after")
-    def _conditions(self) -> Self:
+    def _check(self) -> None:
         if problem := refuse(self.irradiance, self.temperature):
             raise ValueError(problem)
-        return self
 
 
 def refuse(irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> str:

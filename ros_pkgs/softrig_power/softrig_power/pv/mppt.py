@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Port, command, param
 from softrig_optim.falling import FallingCurve
 from softrig_optim.load_line import CertifiedSearch, RampScan
@@ -39,12 +38,10 @@ class MpptParams(SearchParams):
         live=True,
     )
 
-    @model_validator(mode="after")
-    def _tracker(self) -> Self:
+    def _check(self) -> None:
         if self.d_min >= self.d_max:
             raise ValueError(f"d_min = {self.d_min:g} is not below d_max = {self.d_max:g}")
         self.search(np.random.default_rng(0))
-        return self
 
     def search(self, rng: np.random.Generator) -> Search:
         """Create a search."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, param, scalars
 from softrig_core.kit.dense import total
 
@@ -27,15 +26,13 @@ class PvPlantParams(ArrayParams, BlockParams):
     step: float = param(2e-5, "averaged: step of the integration", "s", gt=0.0)
     noise: float = param(0.0, "standard deviation of the measured voltage and current, relative", ge=0.0, live=True)
 
-    @model_validator(mode="after")
-    def _plant(self) -> Self:
+    def _check(self) -> None:
         if self.d_min >= self.d_max:
             raise ValueError(f"d_min = {self.d_min:g} is not below d_max = {self.d_max:g}")
         inner, name = (self.step, "step") if self.model == "averaged" else (1.0 / self.converter.f_sw, "1/f_sw")
         check_steps(self.period, inner, name)
         if abs(self.period / inner - round(self.period / inner)) > 1e-6 or self.period < 0.5 * inner:
             raise ValueError(f"period = {self.period:g} s is not a multiple of {name} = {inner:g} s")
-        return self
 
 
 class State(NamedTuple):

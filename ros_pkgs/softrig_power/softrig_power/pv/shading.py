@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Self
 
-from pydantic import model_validator
 from softrig_control.profile import StepProfile
 from softrig_core import Block, BlockParams, Port, param
 from softrig_core.kit.newest import Newest
@@ -39,8 +37,7 @@ class ShadingSourceParams(BlockParams):
         live=True,
     )
 
-    @model_validator(mode="after")
-    def _patterns(self) -> Self:
+    def _check(self) -> None:
         n, count = self.modules, len(self.times)
         if len(self.irradiance) != n * count:
             raise ValueError(f"irradiance has {len(self.irradiance)} values, expected {n} modules x {count} times")
@@ -53,7 +50,6 @@ class ShadingSourceParams(BlockParams):
             StepProfile(self.times, self.times)
         except ValueError as error:
             raise ValueError(f"times: {error}") from None
-        return self
 
     def pattern(self, k: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return irradiance and temperature of pattern k, counted from 0."""

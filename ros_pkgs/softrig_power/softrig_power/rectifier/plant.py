@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, param, to_ns
 
 from . import ports
@@ -40,14 +39,12 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
     v_least: float = param(1.0, "DC voltage at which the converter is shut down", "V", gt=0.0, le=1e3, live=True)
     waveform: bool = param(False, "send the waveforms of each period")
 
-    @model_validator(mode="after")
-    def _carrier(self) -> Self:
+    def _check(self) -> None:
         check_steps(self.period, self.substep, "substep")
         if self.carrier_hz < 10.0 * self.f:
             raise ValueError(f"carrier_hz = {self.carrier_hz:g} Hz: expected at least ten times f = {self.f:g} Hz")
         # A load beyond what the grid can carry has no operating point, so it is refused before the run.
         _ = self.i_first
-        return self
 
     @property
     def i_first(self) -> float:

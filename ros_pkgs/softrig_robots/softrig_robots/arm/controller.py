@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
-from pydantic import model_validator
 from softrig_core import Block, Port, command, joint_state, param, reference
 
 from ..joints import PerJoint, require_positive, spread
@@ -26,11 +25,9 @@ class ArmControllerParams(ArmParams):
     stiffness: float = param(500.0, "impedance: stiffness of the tool", "N/m", ge=0.0, live=True)
     damping: float = param(50.0, "impedance: damping of the tool", "N s/m", ge=0.0, live=True)
 
-    @model_validator(mode="after")
-    def _gains(self) -> Self:
+    def _check(self) -> None:
         for name in ("kp", "kd"):
             require_positive(name, spread(name, getattr(self, name), len(self.joints)), or_zero=True)
-        return self
 
 
 class ArmController(Block[ArmControllerParams]):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Self
 
-from pydantic import model_validator
 from softrig_core import BlockParams, Compiled, param, rk4
 
 from ..joints import JointUnits, PerJoint, joint_units, require_positive, spread
@@ -29,8 +27,7 @@ class ArmParams(BlockParams):
         0.05, "speed that smooths the change of sign of the URDF's Coulomb friction", "rad/s", gt=0.0
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         from ..rigid_body import check_robot, ties
 
         armature = spread("armature", self.armature, len(self.joints))
@@ -38,7 +35,6 @@ class ArmParams(BlockParams):
         check_robot(self.urdf, self.tool, self.joints, armature)
         if ties(read_urdf(self.urdf), self.joints):
             raise ValueError(f"{self.urdf} has joints that mimic others: expected one drive a joint")
-        return self
 
     def units(self) -> JointUnits:
         """Return the units of the joints, by their kinds in the URDF."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Plant, Port, RunError, Scene, command, joint_state, param, to_s, wrench
 
 from ..joints import PerJoint, spread
@@ -26,11 +25,9 @@ class ArmPlantParams(ArmParams):
     torque_limit: PerJoint = param((1e6,), "largest torque of each drive", "N m")
     speed_limit: float = param(100.0, "joint speed above which the run ends", "rad/s", gt=0.0, live=True)
 
-    @model_validator(mode="after")
-    def _values(self) -> Self:
+    def _check(self) -> None:
         for name in ("position", "velocity", "torque_limit"):
             spread(name, getattr(self, name), len(self.joints))
-        return self
 
 
 class State(NamedTuple):

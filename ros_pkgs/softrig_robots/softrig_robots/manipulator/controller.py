@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Protocol, Self
+from typing import Any, Literal, NamedTuple, Protocol
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, command, joint_state, param, reference, scalars
 
 from ..joints import JointGains, motor_names
@@ -54,10 +53,8 @@ class VcsControllerParams(BlockParams):
         False, "adsmc: let f-hat wind up while the voltage is limited, as published", live=True
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         self.laws()
-        return self
 
     def laws(self) -> list[Law]:
         """Create one law a joint."""

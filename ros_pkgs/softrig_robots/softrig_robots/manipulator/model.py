@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from math import cos, pi, sin
 
-from pydantic import model_validator
 from softrig_control.hardware import hardware_tag
 from softrig_core import Params, param
 
@@ -45,8 +44,7 @@ class Links(Params):
         each=(0.0, 1e7),
     )
 
-    @model_validator(mode="after")
-    def _possible(self) -> Links:
+    def _check(self) -> None:
         n = len(self.mass)
         for name, size in (("d", n), ("a", n), ("alpha", n), ("center", 3 * n), ("inertia", 3 * n)):
             values = getattr(self, name)
@@ -56,7 +54,6 @@ class Links(Params):
             check_inertia(
                 f"links.mass[{i}]", self.mass[i], f"links.inertia of link {i + 1}", self.inertia[3 * i : 3 * i + 3]
             )
-        return self
 
 
 def manipulator_urdf(table: Links | None = None, joints: tuple[str, ...] = ("joint1", "joint2", "joint3")) -> str:

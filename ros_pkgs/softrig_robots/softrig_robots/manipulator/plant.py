@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import model_validator
 from softrig_core import Level, Params, Port, command, joint_state, param, to_ns
 
 from ..driven_robot import LARGEST_STEP, DrivenRobot, DrivenRobotParams, Friction, Vector
@@ -48,8 +47,7 @@ class ManipulatorParams(DrivenRobotParams):
     )
     disturbance: VoltageStep = VoltageStep()
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         n = len(self.joints)
         self.motors.table(n)
         for name, values in (
@@ -64,7 +62,6 @@ class ManipulatorParams(DrivenRobotParams):
             raise ValueError("limits: act needs a robot with limits: give its file as urdf")
         elif len(self.links.mass) != n:
             raise ValueError(f"joints = {list(self.joints)} for {len(self.links.mass)} links, expected one a link")
-        return self
 
     def _check_urdf(self) -> None:
         """Refuse a robot that does not match the parameters or cannot be simulated with this step."""

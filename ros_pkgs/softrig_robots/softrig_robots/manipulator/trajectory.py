@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import cos, pi, sin
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, param, reference, to_ns, to_s
 from softrig_core.motion import Goal, Path
 
@@ -24,13 +23,11 @@ class TrajectoryParams(BlockParams):
     cycle: float = param(14.0, "duration T_cycle of one motion there and back", "s", gt=0.0, live=True)
     goal: Goal = Goal()
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         self.goal.require(len(self.joints))
         spread("amplitude", self.amplitude, len(self.joints))
         if unknown := [name for name in self.linear if name not in self.joints]:
             raise ValueError(f"linear: {', '.join(unknown)}: no such joint; expected some of {', '.join(self.joints)}")
-        return self
 
 
 class TrajectorySource(Block[TrajectoryParams]):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
-from pydantic import model_validator
 from softrig_core import (
     Block,
     BlockParams,
@@ -67,10 +66,8 @@ class VoltageControllerParams(BlockParams):
         "safe", "then: safe, 0 V on both motors, or hold the last position with speed zero", live=True
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         self.laws()
-        return self
 
     def laws(self) -> list[Law]:
         """Create one law a joint."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import param
 
 from ..joints import JointGains, PerJoint, require_positive
@@ -17,11 +16,9 @@ class EmvcGains(JointGains):
     lam: PerJoint = param((4.0,), "rate lambda at which the error decays", "1/s", live=True)
     resistance: PerJoint = param((4.0,), "expected armature resistance", "Ohm", live=True)
 
-    @model_validator(mode="after")
-    def _positive(self) -> Self:
+    def _check(self) -> None:
         require_positive("alpha_hat", self.alpha_hat)
         require_positive("lam", self.lam)
-        return self
 
 
 class EmvcState(NamedTuple):

@@ -7,9 +7,8 @@ r"""Impedance law: the patient's force bends the reference, equations (23) and (
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import (
     Block,
     BlockParams,
@@ -45,14 +44,12 @@ class ImpedanceParams(BlockParams):
         20, "periods without a new force or reference after which it counts as lost", ge=1, le=1000000, live=True
     )
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check(self) -> None:
         n = len(JOINTS)
         require_positive("inertia", spread("inertia", self.inertia, n))
         require_positive("damping", spread("damping", self.damping, n), or_zero=True)
         require_positive("stiffness", spread("stiffness", self.stiffness, n), or_zero=True)
         require_positive("length", self.length)
-        return self
 
 
 class State(NamedTuple):

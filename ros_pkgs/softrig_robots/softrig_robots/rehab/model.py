@@ -6,9 +6,7 @@ q = 0 is the leg hanging straight down; hip flexion swings it forward (+x), the 
 from __future__ import annotations
 
 from math import cos, radians, sin
-from typing import Self
 
-from pydantic import model_validator
 from softrig_control.hardware import hardware_tag
 from softrig_core import Params, param
 
@@ -34,13 +32,11 @@ class Segments(Params):
         (0.25, 0.20), "moments of inertia I_i about the centre of mass", "kg m^2", each=(0.0, 1e6)
     )
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check(self) -> None:
         require_positive("segments.length", self.length)
         require_positive("segments.center", self.center, or_zero=True)
         for i in range(2):
             check_inertia(f"segments.mass[{i}]", self.mass[i], f"segments.inertia[{i}] as a rod", rod(self.inertia[i]))
-        return self
 
 
 class RehabMotors(Motors):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import pi, sin
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, param, to_ns, wrench
 
 FOOT = "foot"
@@ -23,13 +22,11 @@ class PatientParams(BlockParams):
     duration: float = param(2.0, "duration T_push of a push", "s", gt=0.0, live=True)
     cycle: float = param(10.0, "time between the begins of two pushes", "s", gt=0.0, live=True)
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         if self.begin + self.duration > self.cycle:
             raise ValueError(
                 f"begin = {self.begin:g} s and duration = {self.duration:g} s do not fit into cycle = {self.cycle:g} s"
             )
-        return self
 
 
 class Patient(Block[PatientParams]):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import radians
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Level, Params, command, joint_state, param, to_ns, to_s, wrench
 
 from ..driven_robot import DrivenRobot, DrivenRobotParams, Friction, Vector
@@ -37,13 +36,11 @@ class TorqueWindow(Params):
     begin: float = param(35.0, "time at which it begins", "s", ge=0.0, live=True)
     end: float = param(45.0, "time at which it ends", "s", ge=0.0, live=True)
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check(self) -> None:
         if self.begin > self.end:
             raise ValueError(
                 f"disturbance.begin = {self.begin:g} s and disturbance.end = {self.end:g} s: expected begin <= end"
             )
-        return self
 
 
 class Drift(Params):
@@ -81,8 +78,7 @@ class RehabParams(DrivenRobotParams):
     start_outside: bool = param(False, "allow q(0) outside the range of motion; a joint is checked once it is inside")
     force_limit: float = param(200.0, "a larger force at the foot is limited to this", "N", gt=0.0, live=True)
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check(self) -> None:
         n = len(JOINTS)
         self.motors.table(n)
         for name in ("coulomb", "static", "viscous"):
@@ -100,7 +96,6 @@ class RehabParams(DrivenRobotParams):
                     f"position of the {joint} = {q[i]:g} rad is outside its range {low[i]:g} to "
                     f"{high[i]:g} rad (start_outside allows it)"
                 )
-        return self
 
 
 class State(NamedTuple):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import exp, radians
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, param, reference, to_ns, to_s
 from softrig_core.motion import Goal, Path
 
@@ -26,8 +25,7 @@ class PromReferenceParams(BlockParams):
     eta2: float = param(22.0, "time at the centre of the downward motion", "s", gt=0.0, live=True)
     goal: Goal = Goal()
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check(self) -> None:
         n = len(JOINTS)
         self.goal.require(n)
         for low, high in zip(spread("lower", self.lower, n), spread("upper", self.upper, n), strict=True):
@@ -39,7 +37,6 @@ class PromReferenceParams(BlockParams):
                 f"eta1 = {self.eta1:g} s, eta2 = {self.eta2:g} s, cycle = {self.cycle:g} s: expected "
                 "eta1 < eta2 < cycle"
             )
-        return self
 
 
 class PromReference(Block[PromReferenceParams]):

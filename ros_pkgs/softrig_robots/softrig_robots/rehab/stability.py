@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import cos
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
 from softrig_core import Array, Params, param
 from softrig_core.block.params import flatten
@@ -37,13 +36,11 @@ class LinearRobot(Params):
     lower: PerJoint = param(LOWER, "lower ends of the range of motion", "rad")
     upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad")
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check(self) -> None:
         self.motors.table(2)
         spread("lower", self.lower, 2)
         spread("upper", self.upper, 2)
         require_positive("viscous", spread("viscous", self.viscous, 2), or_zero=True)
-        return self
 
     def agreed(self) -> dict[str, Any]:
         """Return the quantities on which a plant and the nodes that judge its stability must agree."""

@@ -7,9 +7,8 @@ part of the voltage, a first-order Taylor series in time with adapted coefficien
 from __future__ import annotations
 
 from math import tanh
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import param
 
 from ..joints import JointGains, PerJoint, require_positive
@@ -29,11 +28,9 @@ class TsarcGains(JointGains):
     phi: PerJoint = param((0.02,), "width of the robust term", "rad", live=True)
     window: PerJoint = param((1.0,), "duration T_w of one series", "s")
 
-    @model_validator(mode="after")
-    def _positive(self) -> Self:
+    def _check(self) -> None:
         for name in ("alpha_hat", "lam", "phi", "window"):
             require_positive(name, getattr(self, name))
-        return self
 
 
 class TsarcState(NamedTuple):

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, lru_cache, partial
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import (
     ByHand,
     Jobs,
@@ -183,8 +182,7 @@ class TunerParams(SolverParams):
     n_iter: int = param(10, "generations after the first", ge=1, le=100000)
     autostart: bool = param(False, "start immediately instead of waiting for the trigger")
 
-    @model_validator(mode="after")
-    def _bounds(self) -> Self:
+    def _check(self) -> None:
         if not self.lower < self.upper:
             raise ValueError(f"lower = {self.lower:g} and upper = {self.upper:g} V s/rad: expected lower < upper")
         if self.guarded and self.lower >= guarded_limit():
@@ -192,7 +190,6 @@ class TunerParams(SolverParams):
                 f"lower = {self.lower:g} V s/rad: expected less than {guarded_limit():.3g}, "
                 f"{MARGIN:g} of the stability limit, for a guarded search"
             )
-        return self
 
 
 class State(NamedTuple):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Work, param
 
 from .method.mvim import Solution, enough_stages, several, solve
@@ -24,14 +23,12 @@ class MvimParams(PlannerParams):
     frozen_order: int = param(0, "order whose alpha is the frozen one; 0: order", ge=0, le=60)
     frozen_alpha: tuple[float, ...] = param((), "instead: the frozen alpha itself; it ends where it ends")
 
-    @model_validator(mode="after")
-    def _orders(self) -> Self:
+    def _check(self) -> None:
         if self.order_max is not None and self.order_max < self.order:
             raise ValueError(f"order_max = {self.order_max}: expected at least order = {self.order}")
         n = len(self.statement().states)
         if self.frozen_alpha and (len(self.frozen_alpha) != n or not all(map(math.isfinite, self.frozen_alpha))):
             raise ValueError(f"frozen_alpha = {self.frozen_alpha}: expected {n} finite numbers")
-        return self
 
     @property
     def last(self) -> int:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import BlockParams, param
 
 from .problem import Problem, ProblemError
@@ -22,10 +21,8 @@ class ProblemParams(BlockParams):
     R: tuple[float, ...] = param((), "weight of the control, u'Ru/2, row by row; the problem's own when empty")
     inertia: tuple[float, ...] = param(INERTIA, "spacecraft: principal moments", "kg m^2")
 
-    @model_validator(mode="after")
-    def _stated(self) -> Self:
+    def _check(self) -> None:
         self.statement().extremal  # noqa: B018  (raises for a weight that is not definite)
-        return self
 
     def plant_agreed(self) -> dict[str, Any]:
         """Return the quantities on which a plant and the nodes that judge it must agree."""

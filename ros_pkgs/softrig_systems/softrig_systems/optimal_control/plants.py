@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
-from pydantic import model_validator
 from softrig_core import Compiled, Level, Marker, Plant, Port, param, rk4, state_type
 from typing_extensions import TypeVar
 
@@ -24,12 +23,10 @@ class OcpPlantParams(ProblemParams):
         None, "largest absolute command; without limit when absent", gt=0.0, le=1e9, live=True
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         controls = self.statement().controls
         if self.bias and (len(self.bias) != len(controls) or not all(map(math.isfinite, self.bias))):
             raise ValueError(f"bias = {self.bias}: expected {len(controls)} finite numbers")
-        return self
 
 
 def step_function(name: str, problem: Problem, substeps: int) -> Compiled:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import (
     Array,
     Level,
@@ -90,11 +89,9 @@ class CertificateParams(CriterionParams, SolverParams):
     c: float = param(TANK_C, "level: drain c of c sqrt(x)", gt=0.0, le=1.0)
     x0: float = param(0.2, "level: at and before the start", ge=0.0, le=10.0)
 
-    @model_validator(mode="after")
-    def _tank(self) -> Self:
+    def _check(self) -> None:
         if self.method == "level" and self.system != "tank":
             raise ValueError("method = level: expected system = tank")
-        return self
 
     @property
     def tank(self) -> dict[str, float]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Array, Block, BlockParams, Level, Port, param, scalars
 from softrig_core.kit.dense import product
 
@@ -74,15 +73,13 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
     period: float = param(3e-4, "sampling period, at most h/64", "s", gt=0.0, le=10.0)
     rise: float = param(1e-3, "relative rise of V over one delay that is reported", gt=0.0, le=1.0)
 
-    @model_validator(mode="after")
-    def _has_matrices(self) -> Self:
+    def _check(self) -> None:
         if self.method == "level" or self.system == "tank":
             raise ValueError(
                 f"method = {self.method!r}, system = {self.system!r}: a certificate of levels has no matrices to watch"
             )
         if self.method == "constant":
             raise ValueError("method = 'constant': only the functional of theorem1 can be monitored; expected theorem1")
-        return self
 
 
 class State(NamedTuple):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
-from pydantic import model_validator
 from softrig_core import Level, Result, SolverParams, Work, button, param, scalars
 
 from .params import AskedSolver, AskedState, SystemParams
@@ -24,13 +23,11 @@ class MarginSearchParams(SystemParams, SolverParams):
     x0: tuple[float, ...] = param((-2.0, 0.0), "state at and before the start")
     at_start: bool = param(True, "search once at the start; later at each press of the button")
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         if len(self.x0) != self.states:
             raise ValueError(f"x0 has {len(self.x0)} values, expected {self.states}")
         if not self.low < self.high:
             raise ValueError(f"low = {self.low:g} s: expected less than high = {self.high:g} s")
-        return self
 
 
 class MarginSearch(AskedSolver[MarginSearchParams]):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, Jobs, Level, Params, Solver, SolverParams, param
 from typing_extensions import TypeVar
 
@@ -29,11 +28,9 @@ class SystemParams(Params):
     k_negative: float = param(1.0, "pendulum: gain k while theta <= 0", ge=0.0, le=1e3)
     k_positive: float = param(5.0, "pendulum: gain k while theta > 0", ge=0.0, le=1e3)
 
-    @model_validator(mode="after")
-    def _builds(self) -> Self:
+    def _check(self) -> None:
         if self.system == "user":
             self.build()
-        return self
 
     def build(self) -> PwaSystem:
         """Create the system.

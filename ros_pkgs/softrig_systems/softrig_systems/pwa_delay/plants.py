@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, param, state_type
 from softrig_core.kit.dde import Track, trajectory
 from typing_extensions import TypeVar
@@ -39,10 +38,8 @@ class DelayPlantParams(DelayParams, BlockParams):
         1e-4, "largest integration step; rounded to a whole fraction of the period", "s", gt=0.0, le=100.0
     )
 
-    @model_validator(mode="after")
-    def _few_steps(self) -> Self:
+    def _check(self) -> None:
         check_steps(self.period, self.step, "step")
-        return self
 
 
 P = TypeVar("P", bound=DelayPlantParams, default=DelayPlantParams)
@@ -120,11 +117,9 @@ class SwitchedDelayPlantParams(SystemParams, DelayPlantParams):
 
     x0: tuple[float, ...] = param((-2.0, 0.0), "state at and before the start")
 
-    @model_validator(mode="after")
-    def _start(self) -> Self:
+    def _check(self) -> None:
         if len(self.x0) != self.states:
             raise ValueError(f"x0 has {len(self.x0)} values, expected {self.states}")
-        return self
 
 
 class SwitchedDelayPlant(DelayPlant[SwitchedDelayPlantParams]):

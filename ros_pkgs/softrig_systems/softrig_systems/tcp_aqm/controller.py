@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, BlockParams, History, Level, param, to_ns
 
 from .laws import LAWS, Gains, LawName, Measured, integral_gain
@@ -31,8 +30,7 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
     )
     history: float = param(0.5, "how far back the controller remembers the state", "s", gt=0.0, le=100.0)
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if not self.set_point < self.q_max:
             raise ValueError(f"set_point = {self.set_point:g}: expected less than q_max = {self.q_max:g} packets")
         longest = self.q_max / self.C + self.tau_p
@@ -40,7 +38,6 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
             raise ValueError(
                 f"history = {self.history:g} s is shorter than the longest delay q_max/C + tau_p = {longest:g} s"
             )
-        return self
 
 
 @dataclass(frozen=True)

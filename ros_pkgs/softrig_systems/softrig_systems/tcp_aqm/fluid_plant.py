@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Level, check_steps, param
 from softrig_core.kit.dde import Track, trajectory
 
@@ -19,15 +18,13 @@ class TcpFluidParams(NetworkParams):
     h: float = param(0.001, "integration step; halving it changes no figure by 0.1 %", "s", gt=0.0, le=0.1)
     input_delay: bool = param(False, "the command acts one round trip later, as in a network; false as in the paper")
 
-    @model_validator(mode="after")
-    def _step(self) -> Self:
+    def _check(self) -> None:
         if self.h > self.tau_p / 4.0:
             raise ValueError(f"h = {self.h:g} s: expected at most tau_p/4 = {self.tau_p / 4.0:g} s")
         check_steps(self.period, self.h, "h")
         ratio = self.period / self.h
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
             raise ValueError(f"h = {self.h:g} s: expected a whole part of period = {self.period:g} s")
-        return self
 
 
 class State(NamedTuple):

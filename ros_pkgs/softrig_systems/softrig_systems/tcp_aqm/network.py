@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, param
 from typing_extensions import TypeVar
 
@@ -33,8 +32,7 @@ class NetworkParams(Bottleneck, BlockParams):
         """Largest round trip time R_max = q_max/C + tau_p, s."""
         return self.q_max / self.C + self.tau_p
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if self.history < self.longest_delay:
             raise ValueError(
                 f"history = {self.history:g} s is shorter than the longest delay q_max/C + tau_p = "
@@ -44,7 +42,6 @@ class NetworkParams(Bottleneck, BlockParams):
             raise ValueError(f"w0 = {self.w0:g}: expected w_min <= w0 <= w_max, {self.w_min:g} to {self.w_max:g}")
         if self.q0 > self.q_max:
             raise ValueError(f"q0 = {self.q0:g}: expected at most q_max = {self.q_max:g}")
-        return self
 
 
 class Net(NamedTuple):

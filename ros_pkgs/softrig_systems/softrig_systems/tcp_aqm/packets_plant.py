@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import History, Level, param
 from softrig_core.kit.draws import Stream
 
@@ -38,13 +37,11 @@ class TcpPacketsParams(NetworkParams):
     spread: float = param(0.05, "propagation times are uniform in tau_p (1 +- spread)", ge=0.0, lt=1.0)
     ecn: bool = param(True, "the queue marks packets; otherwise it drops them")
 
-    @model_validator(mode="after")
-    def _period(self) -> Self:
+    def _check(self) -> None:
         if self.period > self.tau_p / 4.0:
             raise ValueError(f"period = {self.period:g} s: expected at most tau_p/4 = {self.tau_p / 4.0:g} s")
         if self.w_min < 1.0:
             raise ValueError(f"w_min = {self.w_min:g}: expected at least 1, a source sends whole packets")
-        return self
 
 
 class State(NamedTuple):

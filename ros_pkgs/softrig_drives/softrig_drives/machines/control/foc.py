@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-from pydantic import model_validator
 from softrig_core import Block, Port, param, scalars, vector3
 
 from ..ports import CURRENTS, DC_LINK, DUTY, SHAFT_MEAS, SPEED_REF, TORQUE_REF
@@ -39,14 +38,12 @@ class FocControllerParams(SpeedControlParams, CurrentControlParams):
         le=1.0, live=True,
     )  # fmt: skip
 
-    @model_validator(mode="after")
-    def _torque(self) -> Self:
+    def _check(self) -> None:
         if self.psi_f == 0.0 and self.L_d == self.L_q and self.mode != "current":
             raise ValueError(
                 f"psi_f = 0 and L_d = L_q = {self.L_d:g} H: such a machine makes no torque; give the flux linkage of "
                 "the magnet or two inductances, or set mode to current"
             )
-        return self
 
 
 class State(NamedTuple):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import model_validator
 from softrig_core import Params, param
 
 from ...lines.bergeron import LEAST_DELAY
@@ -99,11 +98,9 @@ class FaultParams(Params):
         0.040, "each phase opens at its next current zero after this", "s", gt=0.0, le=3600.0, live=True
     )
 
-    @model_validator(mode="after")
-    def _order(self) -> Self:
+    def _check(self) -> None:
         if self.t_off <= self.t_on:
             raise ValueError(f"t_off = {self.t_off:g} s is not after t_on = {self.t_on:g} s")
-        return self
 
 
 class RatioParams(Params):
@@ -152,8 +149,7 @@ class RigParams(Params):
         """Return the delay of the samples of R, steps."""
         return round(self.measurement.shift_us_r * 1e-6 / self.step)
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check(self) -> None:
         rate, line, x = RATES[self.measurement.profile], self.line, self.fault.x_km
         if abs(1.0 / (rate * self.step) - self.decimation) > 1e-6 or self.decimation < 1:
             raise ValueError(
@@ -168,4 +164,3 @@ class RigParams(Params):
                 f"fault.x_km = {x:g} km: expected {least:.4g} to {line.length - least:.4g} km of a line of "
                 f"{line.length:g} km, so that waves need {LEAST_DELAY} steps or more for each section"
             )
-        return self

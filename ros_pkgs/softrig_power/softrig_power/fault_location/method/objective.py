@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
-from pydantic import model_validator
 from softrig_core import Array, Params, param
 
 from ...lines.modal import AERIAL
@@ -39,11 +38,9 @@ class LocatorParams(Params):
     least_travel: float = param(1.0, "least travel time of the whole line, in samples", ge=0.0, le=1e6)
     disagreement: float = param(0.05, "largest disagreement of the ends at the fault, of their voltage", ge=0.0, le=1e9)
 
-    @model_validator(mode="after")
-    def _window(self) -> Self:
+    def _check(self) -> None:
         if self.window_end <= self.window_start:
             raise ValueError(f"window_end = {self.window_end:g} s is not after window_start = {self.window_start:g} s")
-        return self
 
 
 class Objective:
