@@ -83,8 +83,8 @@ def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Decla
 
 
 def _selection_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--regex", "-e", default="", metavar="RE", help="topics with a name in which RE is found")
-    parser.add_argument("--exclude", "-x", default="", metavar="RE", help="but not these")
+    parser.add_argument("--regex", "-e", default="", metavar="RE", help="topics whose names match RE")
+    parser.add_argument("--exclude", "-x", default="", metavar="RE", help="leave out topics whose names match RE")
 
 
 def _namespace_argument(parser: argparse.ArgumentParser, text: str) -> None:
@@ -121,7 +121,7 @@ def main_record(argv: list[str]) -> int:
     )
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="names (default: all but hidden ones)")
     _selection_arguments(parser)
-    _namespace_argument(parser, "only topics in it, and TOPIC without a leading slash is one of it")
+    _namespace_argument(parser, "only topics in this namespace; TOPIC without a leading slash belongs to it")
     parser.add_argument("--output", "-o", type=Path, metavar="DIR", help="the bag (default rosbag2_DATE-TIME)")
     parser.add_argument("--storage", "-s", choices=("mcap", "sqlite3"), default="mcap")
     parser.add_argument("--compression", choices=("none", "zstd"), default="none", help="zstd: mcap only")
@@ -129,7 +129,7 @@ def main_record(argv: list[str]) -> int:
         "--max-size", type=Number(float, 0, 1e9), default=0.0, metavar="MB", help="start a new file at this size"
     )
     parser.add_argument(
-        "--max-duration", type=Number(float, 0, 1e9), default=0.0, metavar="S", help="begin a new file after so long"
+        "--max-duration", type=Number(float, 0, 1e9), default=0.0, metavar="S", help="start a new file after this time"
     )
     parser.add_argument(
         "--use-sim-time", action="store_true", help="bag time is the header stamp instead of the time of arrival"
@@ -231,14 +231,19 @@ def main_compare(argv: list[str]) -> int:
         "tolerance of the matching signals topic/channel/field; the first match counts",
     )
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these (default: all)")
-    repeated(parser, "--namespace", "NS", "only topics in it, shown without it; twice: of A and of B, / for full names")
+    repeated(
+        parser,
+        "--namespace",
+        "NS",
+        "only topics in this namespace, without its name; twice: for A and for B, / for full names",
+    )
     parser.add_argument("--ignore", nargs="+", default=[], metavar="PATTERN", help="topics to leave out")
     parser.add_argument("--bitwise", action="store_true", help="demand equal bytes and bag times")
     parser.add_argument(
         "--align",
         action="store_true",
-        help="compare signals over the time since the start: largest and rms deviation, time shift; "
-        "done by itself when no stamp of A is in B (real time against lockstep)",
+        help="compare signals over the time since the start: largest and rms deviation, time shift; automatic "
+        "if no stamp of A is in B (real time against lockstep)",
     )
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     options = parser.parse_args(argv)
@@ -303,16 +308,18 @@ def main_bag(argv: list[str]) -> int:
         verbs.add_parser(name, help=text)
     if argv and argv[0] in TOOLS:
         return TOOLS[argv[0]][0](argv[1:])
-    info = verbs.add_parser("info", help="what is in a bag")
+    info = verbs.add_parser("info", help="show the content of a bag")
     info.add_argument("bag", type=_bag)
     mend = verbs.add_parser(
         "repair", help="save the messages after a crash, restore index and metadata; status 1: some are lost"
     )
     mend.add_argument("bag", type=Path, help="bag directory, single file, or directory with shards of a killed run")
-    mend.add_argument("--out", type=Path, metavar="DIR", help="new bag (default: in place, the old one is kept beside)")
-    table = verbs.add_parser("export", help="signals as tables, one file a topic")
+    mend.add_argument(
+        "--out", type=Path, metavar="DIR", help="new bag (default: repair in place and keep the old one beside it)"
+    )
+    table = verbs.add_parser("export", help="write signals as tables, one file for each topic")
     table.add_argument("bag", type=_bag)
-    _namespace_argument(table, "only topics in it; the files are named without it")
+    _namespace_argument(table, "only topics in this namespace, which file names leave out")
     table.add_argument("--format", choices=("csv", "parquet", "mat"), default="csv")
     table.add_argument("--out", type=Path, metavar="DIR", help="default: BAG_csv, BAG_NS_csv and so on beside the bag")
     options = parser.parse_args(argv)

@@ -59,7 +59,7 @@ SCRIPT = {
     "view, docs, colcon, test), `setup --fetch DIR` downloads for a set-up without a network",
     "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
     "docs": "the pages as a site with a search, --serve shows it here; `docs pages` makes their generated parts",
-    "bench": "what the suite costs, as ratios to baselines of the same run; --help names its parts",
+    "bench": "measure what the suite costs, relative to baselines of the same run; --help lists the parts",
 }
 GROUPS = {
     "run and look": ("run", "view", "report", "draw", "list"),
@@ -231,7 +231,7 @@ def make_parser(asked: str = "") -> argparse.ArgumentParser:
     """
     parser = Parser(
         prog="softrig",
-        description="Closed loops over ROS 2 topics that come out the same every time.",
+        description="Run closed loops over ROS 2 topics, with the same numbers every time.",
         epilog="Before the verb: --workspace DIR, also the packages in DIR; remembered, until --workspace none.",
         formatter_class=_InGroups,
         meant=MEANT,

@@ -28,24 +28,24 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         "--like",
         type=Path,
         metavar="RUN",
-        help="instead of a scenario: that run (its folder, "
-        "bag, or file of `pack`) once more, with all that was changed while it ran",
+        help="repeat this run instead of a scenario (its folder, bag or `pack` file), with the changes made "
+        "while it ran",
     )
     kind.add_argument(
         "--from",
         type=_moment,
         dest="origin",
         metavar="RUN@T",
-        help="instead of a scenario: that run up to T (s), and on from there with what --set changes",
+        help="continue this run from time T (s) on, with the changes of --set",
     )
     parser.add_argument(
         "--mode",
         choices=("processes", "container", "inprocess"),
         default="processes",
         type=_mode,
-        help="where the nodes live",
+        help="each node in a process of its own, all nodes in one container, or blocks in process without ROS",
     )
-    parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
+    parser.add_argument("--realtime", action="store_true", help="run against the wall clock instead of in lockstep")
     repeated(parser, "--set", "NAME=VALUE", "change a parameter (node.parameter) or a shared value", pair)
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE", help="change parameters, in the form of ros2 param dump"
@@ -54,48 +54,50 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         "--namespace",
         default="",
         metavar="NS",
-        help="in which --params-file names the nodes, as launch namespace:=NS; of a bag: only topics in it",
+        help="namespace of the nodes in --params-file; for a bag: only topics in this namespace",
     )
     parser.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="instead of the scenario's")
-    repeated(parser, "--external", "NODE", "another process starts this node")
-    repeated(parser, "--only", "NODE", "start this one here, the others on another machine; needs --domain")
+    repeated(parser, "--external", "NODE", "another process starts this node, not softrig")
+    repeated(parser, "--only", "NODE", "start only this node here, the others on another machine; needs --domain")
     parser.add_argument(
-        "--wait", type=Number(float, 0, 1e9), metavar="S", help="limit of the wait for them (default: none)"
+        "--wait", type=Number(float, 0, 1e9), metavar="S", help="limit of the wait for these nodes (default: none)"
     )
     parser.add_argument(
         "--restart",
         type=Number(int, 0, 1000),
         default=0,
         metavar="N",
-        help="lockstep, --mode processes: a node that was killed is started again where it was, up to N times",
+        help="restart a killed node at its last tick, at most N times; needs lockstep and --mode processes",
     )
     parser.add_argument("--domain", type=Number(int, 0, 232), metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
+        "--out", type=Path, metavar="DIR", help="folder for the results (default: runs/SCENARIO and the changes)"
     )
-    parser.add_argument("--force", action="store_true", help="replace in DIR also a run that cannot be made again")
+    parser.add_argument("--force", action="store_true", help="replace a run in DIR even if it cannot be repeated")
     parser.add_argument(
-        "--strict", action="store_true", help="judge a changed run also by what is published for the machine as it was"
+        "--strict", action="store_true", help="judge a changed run also by values published for the unchanged machine"
     )
     parser.add_argument(
         "--max-missed",
         type=Number(float, 0, 100),
         metavar="PERCENT",
-        help="in real time: status 1 when a node misses more of its deadlines",
+        help="in real time: exit with status 1 if a node misses more of its deadlines",
     )
     parser.add_argument("--label", default="", metavar="TEXT", help="name of this run in reports")
     recorded = parser.add_mutually_exclusive_group()
-    recorded.add_argument("--no-record", action="store_true", help="no bag")
+    recorded.add_argument("--no-record", action="store_true", help="do not record a bag")
     recorded.add_argument(
         "--record-all",
         action="store_true",
-        help="the bag has robot_description, diagnostics and figures of observers, too",
+        help="also record robot_description, diagnostics and figures of observers",
     )
-    parser.add_argument("--format", choices=("pdf", "png"), default="", help="pictures in this format beside the SVG")
-    parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
-    parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
-    parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
+    parser.add_argument(
+        "--format", choices=("pdf", "png"), default="", help="write pictures in this format as well as SVG"
+    )
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the verdicts as JUnit XML")
+    parser.add_argument("--no-plots", action="store_true", help="write only metrics.json and the bag")
+    parser.add_argument("--connect", action="store_true", help="print how to connect your own nodes to the rig")
     parser.add_argument(
         "--trust", action="store_true", help="with --like FILE or --from FILE@T: allow the code in that file to run"
     )

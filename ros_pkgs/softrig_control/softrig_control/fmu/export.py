@@ -150,8 +150,10 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("kind", choices=["fmu"], help="a Functional Mock-up Unit for co-simulation")
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("nodes", nargs="+", metavar="NODE", help="of the scenario, with its parameters there")
-    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="NODE.fmu goes here (.)")
-    parser.add_argument("--native", action="store_true", help="the node's C, with sources, which runs without Python")
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for NODE.fmu (.)")
+    parser.add_argument(
+        "--native", action="store_true", help="FMU of the node's C code, with sources; it runs without Python"
+    )
     parser.add_argument("--fmi", type=int, choices=[2, 3], help="version of the FMI (2); 3 with --native")
     options = parser.parse_args(arguments)
     if options.fmi == 3 and not options.native:

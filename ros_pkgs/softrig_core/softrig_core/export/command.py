@@ -137,7 +137,7 @@ def main(arguments: Sequence[str]) -> int:
         "nodes", nargs="*", metavar="NODE", help="of the scenario, with its parameters there; none: the whole rig"
     )
     parser.add_argument("--real", choices=["double", "float"], default="double", help="number type (double)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="the files go to DIR (./NODE)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (./NODE)")
     parser.add_argument(
         "--check", action="store_true", help="compile with this machine's compiler and compare bit for bit with Python"
     )

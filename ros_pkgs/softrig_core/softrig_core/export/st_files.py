@@ -254,7 +254,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("nodes", nargs="+", metavar="NODE", help="controllers, with their parameters in the scenario")
     parser.add_argument("--format", choices=FORMATS, default="st", help="text, TwinCAT's files or PLCopen XML (st)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="the files go to DIR (./NODE)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (./NODE)")
     parser.add_argument("--check", action="store_true", help="run the text and compare with Python's golden rows")
     options = parser.parse_args(arguments)
     rig = rig_of(options.scenario)

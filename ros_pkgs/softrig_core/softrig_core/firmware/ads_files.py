@@ -118,7 +118,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("node", metavar="NODE", help="of the scenario, with its parameters there")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="the files go to DIR (./NODE)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (./NODE)")
     parser.add_argument(
         "--empty",
         action="store_true",

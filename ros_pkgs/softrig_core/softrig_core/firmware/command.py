@@ -47,7 +47,7 @@ def dbc(arguments: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE", help="the DBC (./NODE.dbc)")
     parser.add_argument("--id", default="0x100", help="identifier of the first message (0x100); the next ones follow")
     parser.add_argument(
-        "--code", type=Path, metavar="DIR", help="the node as C, and C that answers these messages, go to DIR"
+        "--code", type=Path, metavar="DIR", help="folder for the node as C, and for C that answers these messages"
     )
     options = parser.parse_args(arguments)
     try:
@@ -74,7 +74,7 @@ def _parser(verb: str, description: str) -> Parser:
     parser = Parser(prog=f"softrig export {verb}", description=description)
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("node", metavar="NODE", help="of the scenario, with its parameters there")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="the files go to DIR (./NODE)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (./NODE)")
     parser.add_argument(
         "--baud", type=Number(int, 300, 4_000_000), default=BAUD, help="bits a second of the serial port (115200)"
     )
