@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -75,7 +74,7 @@ def write_report(
         runs.append(_of_pack(directory) if is_pack(directory) else (directory, read_run(directory)))
         folder, record = runs[-1]
         if check and not record.contradictions and (result := contradictions(folder)):
-            runs[-1] = folder, replace(record, contradictions=result)
+            runs[-1] = folder, record.having(contradictions=result)
         for contradiction in runs[-1][1].contradictions if check else ():
             print_line(f"{directory}: {contradiction}")
     if not runs:
@@ -121,4 +120,4 @@ def _of_pack(path: Path) -> tuple[Path, RunRecord]:
         run = record_of_pack(folder)
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
-    return folder, replace(run, label=run.label or path.name)
+    return folder, run.having(label=run.label or path.name)

@@ -6,7 +6,6 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -185,4 +184,4 @@ def claims(study: Study, gathered: Sequence[Result]) -> list[Finding]:
     """Compare the claims of a study with its summaries; those of a changed machine stay open."""
     values = {r.name: r.number for r in gathered}
     findings = hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
-    return [replace(claim, holds=None) for claim in findings] if study.written else findings
+    return [claim.having(holds=None) for claim in findings] if study.written else findings

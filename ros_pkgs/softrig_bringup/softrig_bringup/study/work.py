@@ -204,12 +204,13 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
     if missing:
         raise ScenarioError(f"{work.case.scenario} has no figure {min(missing)!r}")
     sampled = {name: _sampled(done.signals[name], work.samples) for name in work.signals}
+    missed = [r.name for r in done.missed]
     return {
-        "figures": {r.name: r.number if np.isfinite(r.number) else None for r in wanted},
+        "figures": {r.name: r.number if math.isfinite(r.number) else None for r in wanted},
         "never": [r.name for r in wanted if r.number == np.inf],
-        "missed": [r.name for r in done.missed],
+        "missed": missed,
         # Where nothing was judged there is no verdict, which is neither passed nor failed.
-        "passed": not done.missed if judged or done.missed else None,
+        "passed": not missed if judged or missed else None,
         **({"not_judged": unjudged, "published_for": done.published_for} if unjudged else {}),
         **({"signals": sampled} if sampled else {}),
     }

@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from ..entry import Entry
 from ..errors import closest
+from ..kit.newest import once_for_objects
 from .schedule import rational
 
 # Of any number in SI units. A larger one is a slip, and its powers soon leave the range of floats.
@@ -212,6 +213,12 @@ def flatten(params: Params, prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + name] = list(value) if isinstance(value, tuple) else value
     return flat
+
+
+@once_for_objects
+def flattened(params: Params) -> Mapping[str, Any]:
+    """Return the result of `flatten`, to be read only; the runs of a study have most parameters in common."""
+    return flatten(params)
 
 
 def known(params: Params, prefix: str = "") -> dict[str, Any]:

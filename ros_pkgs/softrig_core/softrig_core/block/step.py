@@ -183,7 +183,11 @@ class Step(RunningBlock):
 
     def _second_answer(self, t: int) -> None:
         answer(self, t)
+        self.answer = self._third_answer
+
+    def _third_answer(self, t: int) -> None:
         self.answer = answerer(self)
+        self.answer(t)
 
     def _first_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
         move(self, t, values)
@@ -191,7 +195,11 @@ class Step(RunningBlock):
 
     def _second_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
         move(self, t, values)
+        self.advance = self._third_advance
+
+    def _third_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
         self.advance = mover(self)
+        self.advance(t, *(() if values is None else (values,)))
 
     def asked(self, t: int) -> Any:
         """Return the block's state and answer at a tick; due parameter changes take effect."""

@@ -30,6 +30,9 @@ def _each(function: Callable[..., float]) -> Callable[..., Array]:
 
     @elementwise
     def all_(*arguments: Array) -> Array:
+        # Constants of a formula are numbers, for which an array would take most of the time.
+        if all(isinstance(each, float) for each in arguments):
+            return np.float64(defined(*map(float, arguments)))  # type: ignore[return-value]
         arrays = np.broadcast_arrays(*arguments)
         flat = [defined(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
         return np.array(flat, dtype=np.float64).reshape(arrays[0].shape)
@@ -54,7 +57,7 @@ def arithmetic(tree: Tree, samples: Samples) -> Any:
     """Return an expression's values; NaN where it, or a part of it, is undefined or beyond all numbers."""
     with np.errstate(all="ignore"):
         # Where nothing undefined can vanish on the way, one check of the result replaces one after each operation.
-        if carries(tree) and np.isfinite(result := _calculated(tree, samples, lambda values: values)).all():
+        if carries(tree) and is_sure(result := _calculated(tree, samples, lambda values: values)):
             return result
         return _calculated(tree, samples, sure)
 
@@ -62,11 +65,16 @@ def arithmetic(tree: Tree, samples: Samples) -> Any:
 def _calculated(tree: Tree, samples: Samples, check: Callable[[Any], Any]) -> Any:
     ((kind, body),) = tree.items()
     if kind == "Literal":
-        return np.float64(samples[body] if isinstance(body, str) else body)
+        return literal(body, samples)
     if kind == "Variable":
         return samples[body]
     name, operands = called(kind, body)
     return check(ARITHMETIC[name](*(_calculated(part, samples, check) for part in operands)))
+
+
+def literal(body: float | str, samples: Samples) -> Any:
+    """Return the number of a literal."""
+    return np.float64(samples[body] if isinstance(body, str) else body)
 
 
 def called(kind: str, body: Any) -> tuple[str, Any]:
@@ -83,8 +91,13 @@ def carries(tree: Tree) -> bool:
     return name in _CARRY and all(map(carries, operands))
 
 
+def is_sure(values: Any) -> bool:
+    """Return whether all values are finite."""
+    # Constants are numbers, for which numpy takes twenty times as long.
+    return math.isfinite(values) if isinstance(values, float) else bool(np.isfinite(values).all())
+
+
 def sure(values: Any) -> Any:
     """Return the values, with NaN for those that are not finite."""
-    finite = np.isfinite(values)
     # An infinity is no distance: it would let a comparison pass or fail by a division by zero.
-    return values if finite.all() else np.where(finite, values, np.nan)
+    return values if is_sure(values) else np.where(np.isfinite(values), values, np.nan)

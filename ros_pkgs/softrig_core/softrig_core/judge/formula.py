@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import ScenarioError, closest
 from ..extras import need
 from ..timebase import SECOND
-from .arithmetic import ARITHMETIC, SEVERAL, Tree, arithmetic, called, sure
+from .arithmetic import ARITHMETIC, SEVERAL, Tree, arithmetic, called, literal, sure
 from .expression import REFERENCE, number
 from .units import powers, text
 
@@ -202,7 +202,7 @@ def _constant(tree: Tree, numbers: Mapping[str, Any]) -> Any:
     """Return the value of an expression without signals; refuse it where one of its parts is undefined."""
     ((kind, body),) = tree.items()
     if kind == "Literal":
-        return arithmetic(tree, numbers)
+        return literal(body, numbers)
     name, operands = called(kind, body)
     values = [_constant(part, numbers) for part in operands]
     if name in ("Div", "Mod") and not values[1]:

@@ -458,14 +458,14 @@ def shared(signals: SignalMap, key: Hashable, make: Callable[[], _T]) -> _T:
     key : hashable
         Identifies the result, with all arguments that it depends on.
     make : callable
-        Computes a tuple of arrays, which callers must not modify.
+        Computes a tuple of arrays, which callers must not modify, and numbers.
     """
     store: dict[Hashable, Any] | None = getattr(signals, "shared", None)
     if store is None:
         return make()
     if key not in store:
         result: Any = make()
-        if sum(array.nbytes for array in result) > SHARED:
+        if sum(getattr(part, "nbytes", 0) for part in result) > SHARED:
             return result  # type: ignore[no-any-return]
         store[key] = result
     return store[key]  # type: ignore[no-any-return]
@@ -646,12 +646,16 @@ def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
     ValueError
         No samples.
     """
-    steps = []
-    for name in references.split(", "):
-        t, x = window(signals, name, None, None)
-        k = int(np.flatnonzero(np.diff(x, prepend=np.nan))[-1])
-        steps.append((float(t[k]), float(x[k])))
-    return max(steps, key=itemgetter(0))
+
+    def found() -> tuple[float, float]:
+        steps = []
+        for name in references.split(", "):
+            t, x = window(signals, name, None, None)
+            k = int(np.flatnonzero(np.diff(x, prepend=np.nan))[-1])
+            steps.append((float(t[k]), float(x[k])))
+        return max(steps, key=itemgetter(0))
+
+    return shared(signals, ("newest_step", references), found)
 
 
 def step_levels(

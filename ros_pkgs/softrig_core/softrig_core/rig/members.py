@@ -49,6 +49,12 @@ class Member:
         """Return whether it owns time."""
         return issubclass(self.block_class, Plant)
 
+    def unlinked(self) -> Member:
+        """Return the same node for another rig, in which it is not linked yet."""
+        result = object.__new__(Member)
+        result.__dict__.update(self.__dict__, remap=dict(self.remap), links={})
+        return result
+
     @property
     def files(self) -> Mapping[str, str]:
         """Return name to hash of the files that affect the node in addition to its code."""

@@ -20,9 +20,9 @@ from ..board.entry import require_own_ports
 from ..errors import ScenarioError, blaming
 from ..judge.expectation import Expectation
 from ..judge.units import misfit
-from ..kit.newest import KEPT, once_for_objects
+from ..kit.newest import KEPT, Kept, of_these, once_for_objects
 from ..scenario.changes import script
-from ..scenario.node_parameters import NodeParameters
+from ..scenario.node_parameters import NodeParameters, stands_alone
 from ..scenario.places import explain
 from ..scenario.scenario import FigureEntry, PlotEntry, Scenario
 from ..wire.signals import full_name
@@ -188,6 +188,18 @@ def _remapped(ports: tuple[Port, ...], remap: Mapping[str, str]) -> tuple[Port, 
 
 
 def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeParameters) -> Member:
+    entry = scenario.nodes[name]
+    # Runs of a study share the entries of all nodes but the changed ones.
+    if entry.external is False and entry.link is None and stands_alone(block, entry.parameters):
+        known = of_these(_known, (entry, block, name), lambda: _new_member(scenario, name, block, parameters))
+        return known.unlinked()
+    return _new_member(scenario, name, block, parameters)
+
+
+_known: Kept[Member] = {}
+
+
+def _new_member(scenario: Scenario, name: str, block: type[Block], parameters: NodeParameters) -> Member:
     entry = scenario.nodes[name]
     context = f"{scenario.name}: node {name}"
     params: Any = parameters(name)  # its errors name the node already

@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -137,7 +137,7 @@ class Run:
         if not self.stopped:
             return result
         late = f"not until {self.reached_s:.9g} s, when the run was stopped"
-        return [replace(r, error=late, number=math.nan) if r.error == NEVER else r for r in result]
+        return [r.having(error=late, number=math.nan) if r.error == NEVER else r for r in result]
 
     @cached_property
     def published_for(self) -> str:
@@ -160,7 +160,7 @@ class Run:
         name = self.rig.scenario.name
         result = findings(self.rig.scenario, lambda scenario: figures if scenario == name else None, units)
         open_ = bool(self.published_for) and not self.strict
-        return [replace(c, holds=None) for c in result] if open_ else result
+        return [c.having(holds=None) for c in result] if open_ else result
 
     def __repr__(self) -> str:
         """Describe the run, the time that it reached and the results of its figures."""

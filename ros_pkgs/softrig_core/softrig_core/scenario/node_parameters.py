@@ -30,9 +30,9 @@ def parameters(block: type[Block], values: Mapping[str, Any]) -> Any:
 
 
 @once_for_objects
-def _alone(values: Mapping[str, Any]) -> bool:
-    """Return whether parameters of a node refer to none of another one."""
-    return "$" not in str(values)
+def stands_alone(block: type[Block], values: Mapping[str, Any]) -> bool:
+    """Return whether parameters of a node depend on these values alone: on no other node, and no file."""
+    return "$" not in str(values) and not issubclass(block, FromFiles)
 
 
 @once_for_objects
@@ -64,7 +64,7 @@ class NodeParameters:
             entry, block = self._scenario.nodes[name], self._classes[name]
             self._open.append(name)
             try:
-                if _alone(entry.parameters) and not issubclass(block, FromFiles):
+                if stands_alone(block, entry.parameters):
                     self._known[name] = _own(block, entry.parameters)
                 else:
                     values = fill_parameters(entry.parameters, self._of)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ..block.params import flatten, known
+from ..block.params import flattened, known
 from ..errors import ScenarioError
 from .scenario_file import SHARED, Over, merge
 from .yaml_file import NODES
@@ -153,7 +153,7 @@ def parameter_of(context: str, nodes: Mapping[str, Any], params: Callable[[str],
         raise ScenarioError(f"{context}${node}.{name}: the nodes are {', '.join(nodes)}")
     parameters = params(node)
     try:
-        return pick(flatten(parameters), name)  # what is derived takes longer to find
+        return pick(flattened(parameters), name)  # what is derived takes longer to find
     except KeyError:
         pass
     values = known(parameters)

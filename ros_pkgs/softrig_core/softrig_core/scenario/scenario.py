@@ -293,7 +293,7 @@ class Draft:
         changed = {n: e for n, e in raw["nodes"].items() if e is not before[n]}
         try:
             known = self._published.nodes
-            new = {n: NodeEntry.model_validate(fill(e, shared or {})) for n, e in changed.items()}
+            new = {n: _revised(known.get(n), before[n], e, shared or {}) for n, e in changed.items()}
         except (ScenarioError, ValidationError):  # a message names the place in the whole scenario
             return None
         if not new.keys() <= known.keys():  # the name itself is a reference
@@ -312,6 +312,13 @@ class Draft:
             raise ScenarioError(f"{location}: {explain(error, Scenario)}") from None
         except ScenarioError as error:
             raise ScenarioError(f"{self.path.name}: {error}") from None
+
+
+def _revised(known: NodeEntry | None, before: Any, entry: Mapping[str, Any], shared: Mapping[str, Any]) -> NodeEntry:
+    """Return a node's entry for changed content; where its parameters alone differ, nothing else is validated again."""
+    if known is None or any(before.get(key) is not value for key, value in entry.items() if key != "parameters"):
+        return NodeEntry.model_validate(fill(entry, shared))
+    return known.model_copy(update={"parameters": fill(entry["parameters"], shared)})
 
 
 def read_draft(name: str) -> Draft:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError, create_model
 
-from ..block.params import BlockParams, ParameterError, flatten
+from ..block.params import BlockParams, ParameterError, flatten, flattened
 from ..block.port import CLOCK
 from ..entry import Entry
 from ..errors import ScenarioError, closest
@@ -152,8 +152,13 @@ def figures_of(rig: Members) -> list[Figure]:
             location = rig.scenario.written("figures", name)
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{location}") from None
     required = judges(rig, units, {figure.name: figure for figure in result})
-    result += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in required.items()]
+    result += [_margin_of(name, judge) for name, judge in required.items()]
     return result
+
+
+@once_for_objects
+def _margin_of(name: str, judge: Judge) -> Figure:
+    return Figure(name, judge, {}, judge.unit, 1.0)
 
 
 # Runs of a study share the entries of figures.
@@ -280,12 +285,12 @@ def evaluate(
     for figure in figures_of(rig) if figures is None else figures:
         required = figure.name in scenario.requirements
         limits = scenario.expect.get(figure.name, HOLDS if required else None)
-        about = {**_about(figure, limits, scenario.claims)}
-        about["settled"] = under_way and isinstance(figure.function, Judge) and figure.function.settled(signals)
+        judge = figure.function if isinstance(figure.function, Judge) else None
+        about: dict[str, Any] = {"settled": under_way and judge is not None and judge.settled(signals)}
         impossible = False
         try:
-            if isinstance(figure.function, Judge):
-                value, t, violated, bounds, open_from = figure.function.margin(signals)
+            if judge is not None:
+                value, t, violated, bounds, open_from = judge.margin(signals)
                 about |= {"at_s": t, "violated_s": violated}
                 about |= {"open_from_s": open_from} if math.isfinite(open_from) else {}
             else:
@@ -305,21 +310,23 @@ def evaluate(
         # Numbers and truths of numpy have no JSON.
         value = float(value)
         about |= {"value": None if error else value, "number": value, "passed": bool(passed), "error": error}
-        results.append(Result(**about))
+        results.append(_unmeasured(figure, limits, scenario.claims).having(**about))
     return results
 
 
 @once_for_objects
-def _about(figure: Figure, limits: Expectation | None, claims: Mapping[str, Claim]) -> Mapping[str, Any]:
-    """Return what of a result is known before the run."""
+def _unmeasured(figure: Figure, limits: Expectation | None, claims: Mapping[str, Claim]) -> Result:
+    """Return a result with what is known before the run."""
     published = {c.figure or key: c.published for key, c in claims.items() if c.published is not None}
-    return {
-        "name": figure.name,
-        "unit": figure.unit,
-        "published": published.get(figure.name),
-        "follows": follows(figure, limits),
+    return Result(
+        name=figure.name,
+        value=None,
+        unit=figure.unit,
+        published=published.get(figure.name),
+        passed=True,
+        follows=follows(figure, limits),
         **{key: getattr(limits or NONE, key) for key in ("expected", "tolerance", "at_most", "at_least")},
-    }
+    )
 
 
 def follows(figure: Figure, limits: Expectation | None) -> bool:
@@ -338,7 +345,7 @@ def changed_from(rig: Members) -> str:
         # The parameter may have no default, or belong to a node that is not in this rig; then only its name is written.
         with suppress(ParameterError, ValueError, KeyError):
             before = pick(_defaults(type(params[node])), name) if before is None else before
-            if before == pick(flatten(params[node]), name):
+            if before == pick(flattened(params[node]), name):
                 continue
         parts.append(key if before is None else f"{key} = {shown(before)}")
     return ", ".join(parts)

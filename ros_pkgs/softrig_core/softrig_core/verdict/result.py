@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from ..data import KEPT, LEAST, NAME, Data
 
@@ -83,4 +83,4 @@ class Result(Data):
         """
         if self.follows or not self.judged or not why:
             return self
-        return replace(self, published_for=why, passed=True)
+        return self.having(published_for=why, passed=True)
