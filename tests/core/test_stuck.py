@@ -30,6 +30,16 @@ class Endless(Gain):
         return super().update(x, t, **inputs)
 
 
+class Seen(Gain):
+    """Has the watch look at its second tick."""
+
+    def update(self, x, t, **inputs):
+        if t == 10_000_000:
+            stuck._running._look(0.0, stuck.LOOK)
+            assert threading.get_ident() in stuck._running._seen
+        return super().update(x, t, **inputs)
+
+
 AT_LAST, STARTED = threading.Event(), threading.Event()
 
 
@@ -65,6 +75,13 @@ def test_a_tick_that_does_not_return_is_reported_with_node_time_and_place(lines)
     assert "test_stuck.py, line " in line or "threading.py, line " in line
     assert watches() == 0
     assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_the_watch_does_not_keep_the_memory_of_a_run_that_has_ended():
+    scenario = make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.1)
+    with stuck.watched():
+        run_inprocess(rig_of(scenario, classes={"gain": Seen}), 0)
+        assert threading.get_ident() not in stuck._running._seen
 
 
 def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypatch):

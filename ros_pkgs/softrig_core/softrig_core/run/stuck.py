@@ -51,6 +51,8 @@ class Watch(threading.Thread):
         super().__init__(name="softrig watch", daemon=True)
         self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._main = threading.main_thread().ident or 0
+        # By thread: the call under way at the last look, and the time of the first look that saw it.
+        self._seen: dict[int, tuple[FrameType, float]] = {}
         self._listens = False
         if threading.current_thread() is threading.main_thread():
             before = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
@@ -61,7 +63,6 @@ class Watch(threading.Thread):
 
     def run(self) -> None:
         """Check the calls until `stop` is called."""
-        seen: dict[int, tuple[FrameType, float]] = {}
         now, wait = 0.0, LOOK
         ends: tuple[int, float, FrameType | None] = 0, 0.0, None  # signal, time, the call that is to return before it
         while True:
@@ -74,22 +75,31 @@ class Watch(threading.Thread):
                     ends = number, now + LAST, calls().get(self._main)
                 continue
             now += wait
-            present = calls()
-            seen = {
-                thread: seen[thread] if thread in seen and seen[thread][0] is call else (call, now)
-                for thread, call in present.items()
-            }
-            for call, since in seen.values():
-                # The second comparison holds at one look only, so a call is reported once.
-                if now - since >= LONG > now - since - wait:
-                    print_for(*report(call, f"for {LONG:g} s; Ctrl-C ends the run"))
-            if ends[0] and present.get(self._main) is not ends[2]:
+            self._look(now, wait)
+            if ends[0] and self._seen.get(self._main, (None,))[0] is not ends[2]:
                 ends = 0, 0.0, None
             elif ends[2] is not None and now >= ends[1]:
                 source, text = report(ends[2], f"{LAST:g} s after {signal.Signals(ends[0]).name}")
                 print_for(source, f"{text}: the process is ended, and unwritten data are lost")
                 # An exception in this thread would not end the process, whose main thread does not return.
                 os._exit(128 + ends[0])
+
+    def _look(self, now: float, wait: float) -> None:
+        """Report the calls that have become too long since the last look."""
+        seen = self._seen
+        self._seen = {
+            thread: seen[thread] if thread in seen and seen[thread][0] is call else (call, now)
+            for thread, call in calls().items()
+        }
+        # A list, because another thread may release its call in the meantime.
+        for call, since in list(self._seen.values()):
+            # The second comparison holds at one look only, so a call is reported once.
+            if now - since >= LONG > now - since - wait:
+                print_for(*report(call, f"for {LONG:g} s; Ctrl-C ends the run"))
+
+    def forget(self) -> None:
+        """Release the call of this thread, which has ended: its frame would hold a run's memory until the next look."""
+        self._seen.pop(threading.get_ident(), None)
 
     def stop(self) -> None:
         """End the checks."""
@@ -106,7 +116,11 @@ def watched() -> Iterator[None]:
     """Watch the blocks of this process within the ``with`` block; nested ones do nothing."""
     global _running
     if _running is not None:
-        yield
+        watch = _running
+        try:
+            yield
+        finally:
+            watch.forget()
         return
     _running = watch = Watch()
     watch.start()
