@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from softrig_core import Block, BlockParams, Level, Marker, Port, array, joint_state, param, pose, reference
+from softrig_core import Block, BlockParams, Level, Marker, Port, Values, array, joint_state, param, pose, reference
 
 from .joints import PerJoint, require_positive, spread
 from .urdf import read_urdf, root_link
@@ -102,9 +102,7 @@ class RobotDynamics(Block[RobotDynamicsParams]):
             self.report(Level.WARN, note, note)
         return State((0.0,) * self._model.nq)
 
-    def update(
-        self, x: State, t: int, *, joint_query: Vector, reference: Vector | None
-    ) -> tuple[State, Mapping[str, Vector]]:
+    def update(self, x: State, t: int, *, joint_query: Vector, reference: Vector | None) -> tuple[State, Values]:
         """Answer the query (q, v, tau)."""
         np, pin, model, data, n = self._np, self._pin, self._model, self._data, self._model.nv
         state = np.array(joint_query)
@@ -144,7 +142,7 @@ class RobotDynamics(Block[RobotDynamicsParams]):
             torque[k] += along * (damping * speed + friction * math.tanh(speed / self.p.edge_speed))
         return torque
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Stay silent: the last answer under a new stamp would pass for that to this query."""
         return x, {}
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port, RunError, param
+from softrig_core import Block, BlockParams, Level, ParameterError, Plant, Port, RunError, Values, param
 from softrig_core.block.schedule import Schedule, rational
 from softrig_core.kit.confined import STRANGE
 
@@ -238,7 +238,7 @@ class _Fmu(Block[FmuParams]):
                 )
         return values
 
-    def _outputs(self, x: State) -> Mapping[str, tuple[float, ...]]:
+    def _outputs(self, x: State) -> Values:
         ports = self.p.publishes.ports
         rows = [[0.0] * port.size for port in ports]
         for place, value in zip(self.p.publishes.places, x.outputs, strict=True):
@@ -287,7 +287,7 @@ class FmuPlant(_Fmu, Plant[FmuParams]):
     steps from 0.
     """
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return the outputs."""
         return self._outputs(x)
 
@@ -303,7 +303,7 @@ class FmuLaw(_Fmu):
     outputs at the end of the period.
     """
 
-    def update(self, x: State, t: int, **inputs: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: State, t: int, **inputs: tuple[float, ...]) -> tuple[State, Values]:
         """Answer one tick."""
         x = self._step(x, inputs)
         return x, self._outputs(x)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from softrig_core import Block, Port, joint_state, param
+from softrig_core import Block, Port, Values, joint_state, param
 from typing_extensions import TypeVar
 
 from ..profile import ProfileParams, StepProfile
@@ -50,7 +49,7 @@ class ScalarSource(Block[P]):
         """Prepare the answer for each time."""
         self._answers = StepProfile(self.p.times, [{self.NAME: row} for row in self.p.rows("values")])
 
-    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
         """Return the values at t."""
         return x, self._answers.at(t)
 

@@ -4,10 +4,9 @@ actuators.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-from softrig_core import Block, BlockParams, Port, array, command, param
+from softrig_core import Block, BlockParams, Port, Values, array, command, param
 
 
 class ForwardCommandParams(BlockParams):
@@ -45,8 +44,6 @@ class ForwardCommand(Block[ForwardCommandParams]):
         n = len(self.p.joints)
         self._initial = self.p.initial * n if len(self.p.initial) == 1 else self.p.initial
 
-    def update(
-        self, x: Any, t: int, commands: tuple[float, ...] | None = None
-    ) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: Any, t: int, commands: tuple[float, ...] | None = None) -> tuple[Any, Values]:
         """Return the newest array."""
         return x, {"command": self._initial if commands is None else commands}

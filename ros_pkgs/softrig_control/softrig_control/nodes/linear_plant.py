@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrig_core import BlockParams, Plant, Port, param
+from softrig_core import BlockParams, Plant, Port, Values, param
 
 from ..discretise import matmul
 from ..transfer import sample_transfer_function
@@ -66,7 +65,7 @@ class LinearPlant(Plant[LinearPlantParams]):
         """Begin at rest."""
         return State((0.0,) * len(self._a))
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return y."""
         return {"output": matmul((self._c,), tuple([(xi,) for xi in x.x]))[0]}
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-from softrig_core import Block, BlockParams, Port, param
+from softrig_core import Block, BlockParams, Port, Values, param
 
 from .signal_name import signal_port
 
@@ -138,7 +137,7 @@ class PidController(Block[PidControllerParams]):
 
     def update(
         self, x: State, t: int, *, measurement: tuple[float, ...], reference: tuple[float, ...] | None = None
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Compute the command."""
         p = self.p
         y, r = measurement[0], p.set_point if reference is None else reference[0]
@@ -159,7 +158,7 @@ class PidController(Block[PidControllerParams]):
             step += self._lead * (u - free)
         return State(x.integral + step, d, z, proportional, error, True), {"command": (u,)}
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Hold the command of the newest state."""
         p = self.p
         free = p.manual_command if p.manual else x.proportional + x.integral + x.derivative + p.bias

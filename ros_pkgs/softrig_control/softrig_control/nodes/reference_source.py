@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from pydantic import model_validator
-from softrig_core import Block, Port, param, reference
+from softrig_core import Block, Port, Values, param, reference
 
 from ..profile import ProfileParams, StepProfile
 
@@ -62,6 +61,6 @@ class ReferenceSource(Block[ReferenceSourceParams]):
         answers = [{"reference": tuple(x for row in rows for x in row)} for rows in zip(*fields, strict=True)]
         self._answers = StepProfile(self.p.times, answers)
 
-    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
         """Return the reference at t."""
         return x, self._answers.at(t)

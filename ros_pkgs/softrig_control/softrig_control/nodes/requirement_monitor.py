@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, param, scalars
+from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, Values, param, scalars
 from softrig_core.judge.formula import margin_unit, read, variables
 from softrig_core.judge.live import Live, Opened
 from softrig_core.judge.robustness import truth
@@ -105,7 +105,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         """Return the initial state without samples."""
         return State(self._live.first(), (None,) * len(self._used))
 
-    def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Values]:
         """Process the signals of this tick."""
         signals: dict[str, float] = {}
         truths: dict[str, float] = {}
@@ -125,14 +125,14 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
             now.append(value)
         return self._pushed(x._replace(before=tuple(now)), t, signals, truths, late)
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Treat a tick with an invalid signal as one without information."""
         nothing = dict.fromkeys((n for n in self._used if n not in self._conditions), math.nan)
         return self._pushed(x, t, nothing, dict.fromkeys(self._conditions, math.nan), dict.fromkeys(nothing, False))
 
     def _pushed(
         self, x: State, t: int, signals: Mapping[str, float], truths: Mapping[str, float], late: Mapping[str, bool]
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         opened, before, lower, upper, decided = x
         if not decided:
             violated = upper < 0.0

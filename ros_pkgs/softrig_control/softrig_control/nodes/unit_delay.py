@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from softrig_core import BlockParams, Plant, Port, param
+from softrig_core import BlockParams, Plant, Port, Values, param
 from softrig_core.block.port import XYZ
 from softrig_core.wire import types
 
@@ -113,7 +112,7 @@ class UnitDelay(Plant[LinkParams]):
         """Hold the initial values."""
         return State(self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return the input of one tick ago."""
         return {"arrived": x.held}
 

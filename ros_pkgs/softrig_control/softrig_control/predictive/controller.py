@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-from softrig_core import Block, BlockParams, Level, Port, param, scalars
+from softrig_core import Block, BlockParams, Level, Port, Values, param, scalars
 from typing_extensions import TypeVar
 
 from ..limit_cycle import Swinging, limit_cycle
@@ -163,7 +162,7 @@ class GpcController(Block[P]):
 
     def update(
         self, x: State, t: int, *, measured: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Return the command for a sample."""
         p, y, gpc = self.p, measured[0], self.law
         law, w, last, _, failures, tripped, cycle = x
@@ -219,7 +218,7 @@ class GpcController(Block[P]):
             count += p.u_min > -UNBOUNDED and u - p.u_min <= near
         return count
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Hold the last command; trip at the third bad sample in a row."""
         law, w, last, bad, failures, tripped, cycle = x
         bad += 1
@@ -239,6 +238,6 @@ class GpcController(Block[P]):
         return self.law.applied(law, self.p.u_safe)
 
 
-def answer(law: GpcState, state: float, active: int, failures: int) -> Mapping[str, tuple[float, ...]]:
+def answer(law: GpcState, state: float, active: int, failures: int) -> Values:
     """Return the outputs of the node."""
     return {"command": (law.u,), "health": (state, float(active), float(failures))}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from softrig_control.discretise import zero_order_hold
 from softrig_control.nodes.delay import whole_periods
 from softrig_control.predictor import CommandReplay, Commands
 from softrig_control.state_feedback import Gains, StateFeedback, closed_loop_poles, place, require_stable
-from softrig_core import Block, Level, Sample, param, to_ns
+from softrig_core import Block, Level, Sample, Values, param, to_ns
 
 from .motor import MotorParams
 from .nominal import Nominal, NominalAxis
@@ -174,7 +174,7 @@ class FsfbController(Block[FsfbControllerParams]):
         reference: tuple[float] | None,
         forward: tuple[float] | None,
         reverse: tuple[float] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Answer one period."""
         history = self._known(x, t)
         usable = self._usable(t, feedback)
@@ -193,11 +193,11 @@ class FsfbController(Block[FsfbControllerParams]):
         history = self._replay.record(history, u)
         return self._answer(State(nominal, history, set_point, t, x.stamp, x.measured, state, xi, u))
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Publish 0 V, which enters the command history; the last good measurement and the integrator are held."""
         return self._answer(x._replace(t=t, u=0.0, history=self._replay.record(self._known(x, t), 0.0)))
 
-    def _answer(self, x: State) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def _answer(self, x: State) -> tuple[State, Values]:
         v, y = x.state
         age = 0.0 if x.stamp is None or x.t is None else (x.t - x.stamp) * 1e-9
         return x, {

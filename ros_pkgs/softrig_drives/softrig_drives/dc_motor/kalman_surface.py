@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from softrig_control.discretise import zero_order_hold
 from softrig_control.kalman import SteadyKalman
-from softrig_core import param
+from softrig_core import Values, param
 
 from .model import SensorConstants, state_space
 from .ports import APPLIED, REFERENCE, SENSORS
@@ -73,7 +72,7 @@ class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
         sensors: tuple[float, ...],
         applied: tuple[float, ...],
         reference: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Return the voltage."""
         count, current = sensors
         r = self.reference(x.r, reference)

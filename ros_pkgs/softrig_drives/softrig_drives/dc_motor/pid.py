@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from softrig_control.pid import Pid, PidParams, PidState
-from softrig_core import param
+from softrig_core import Values, param
 
 from .ports import COMMAND, REFERENCE, SPEED
 from .speed_control import SpeedControl, SpeedControlParams
@@ -49,7 +48,7 @@ class DcMotorPid(SpeedControl[DcMotorPidParams]):
 
     def update(
         self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Return the voltage."""
         r = self.reference(x.r, reference)
         pid, u = self._pid(x.pid, r - state[0])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from softrig_control.discretise import zero_order_hold
 from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_control.profile import StepProfile
-from softrig_core import BlockParams, Level, Plant, Port, param, to_ns
+from softrig_core import BlockParams, Level, Plant, Port, Values, param, to_ns
 
 from .model import MotorConstants, SensorConstants, state_space
 from .ports import APPLIED, COMMAND, SENSORS, SHAFT, STATE, TRUE_STATE
@@ -109,7 +109,7 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
         """Rest at angle zero, without current."""
         return State(applied=(0.0,)) if self.p.rig else State()
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return the sensors' values at t; on the rig also the truth."""
         p = self.p
         theta, w, i, applied, before, k = x

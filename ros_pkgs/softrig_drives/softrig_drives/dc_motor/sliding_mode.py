@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from softrig_control.sliding_mode import switching
-from softrig_core import Port, param
+from softrig_core import Port, Values, param
 from typing_extensions import TypeVar
 
 from .model import MotorConstants
@@ -87,7 +86,7 @@ class SurfaceControl(SpeedControl[P]):
         x = super().go_on(x, before)
         return x._replace(size=abs(x.r) or x.size)
 
-    def law(self, size: float, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
+    def law(self, size: float, r: float, w: float, wd: float) -> Values:
         """Compute the command for the reference r, the size of it that scales K, the speed w and its derivative wd."""
         s = self._c * (r - w) - wd
         k_gain = (self._k_per_ref * size if self._k is None else self._k) / self._gain
@@ -147,7 +146,7 @@ class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
         state: tuple[float, ...],
         sensors: tuple[float, ...],
         reference: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Return the voltage."""
         w = state[0]
         r = self.reference(x.r, reference)

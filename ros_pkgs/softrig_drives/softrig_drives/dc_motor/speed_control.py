@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-from softrig_core import Block, BlockParams, Level, param
+from softrig_core import Block, BlockParams, Level, Values, param
 from typing_extensions import TypeVar
 
 
@@ -53,7 +52,7 @@ class SpeedControl(Block[P]):
             return r
         return new
 
-    def refused(self, x: Any, t: int) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: Any, t: int) -> tuple[Any, Values]:
         """Return 0 V and report the error."""
         self.report(Level.ERROR, "refused", "measurement or reference was refused; command 0 V")
         return x, {port.name: (0.0,) * port.size for port in self.ports(self.p)[1]}

@@ -15,7 +15,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from softrig_core import BlockParams, Plant, param, to_ns
+from softrig_core import BlockParams, Plant, Values, param, to_ns
 from softrig_core.board.simavr import compiled, made_of
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.export.command import export_c
@@ -119,7 +119,7 @@ class DcMotorUno(Plant[DcMotorUnoParams]):
         """
         raise RunError(f"{self.name}: the state of the simulated board cannot be saved")
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return the motor's state, the firmware's view of it, and the voltage set by the PWM register."""
         theta, w, i, applied, count, current, *_ = x.row
         return {"true_state": (theta, w, self.p.Kt * i), "sensors": (count, current), "applied": (applied,)}

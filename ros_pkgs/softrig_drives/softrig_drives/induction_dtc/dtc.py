@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import sqrt
 from typing import NamedTuple
 
-from softrig_core import Block, BlockParams, Level, Port, param, to_ns, to_s
+from softrig_core import Block, BlockParams, Level, Port, Values, param, to_ns, to_s
 
 from .estimator import EstimatorParams, Flux, make_estimator
 from .ports import CURRENTS_MEAS, DC_LINK, FLUX_ESTIMATE, SPEED, SWITCHES, TORQUE_ESTIMATE, TORQUE_REF
@@ -96,7 +95,7 @@ class DtcController(Block[DtcControllerParams]):
         dc_link: tuple[float, ...],
         torque_ref: tuple[float, ...],
         joint_states: tuple[float, ...] = (0.0,),
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Estimate, compare, choose the switches."""
         p = self.p
         flux, increase, more, pipe, vector, link, _ = x
@@ -120,7 +119,7 @@ class DtcController(Block[DtcControllerParams]):
             pipe = tuple(later)
         return State(flux, increase, more, pipe, vector, dc_link[0], omega), _answer(vector, psi, torque)
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Hold the switches; the flux is integrated with the last currents."""
         flux, increase, more, pipe, vector, link, omega = x
         flux = self._estimator(flux, self._unit[vector] * link, flux.i or 0j, omega)
@@ -130,7 +129,7 @@ class DtcController(Block[DtcControllerParams]):
         return State(flux, increase, more, pipe, vector, link, omega), _answer(vector, flux.psi, torque)
 
 
-def _answer(vector: int, psi: complex, torque: float) -> Mapping[str, tuple[float, ...]]:
+def _answer(vector: int, psi: complex, torque: float) -> Values:
     return {
         "switches": VECTORS[vector],
         "flux_estimate": (psi.real, psi.imag, 0.0),

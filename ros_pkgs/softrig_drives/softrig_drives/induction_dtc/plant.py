@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
-from softrig_core import BlockParams, Compiled, Level, Plant, param
+from softrig_core import BlockParams, Compiled, Level, Plant, Values, param
 
 from .adc import AdcParams, Converter, draw
 from .machine import STATES, MachineConstants, measured, numbers, step_function
@@ -86,7 +85,7 @@ class ImPlant(Plant[ImPlantParams]):
         self._convert = Converter(p)
         self._dc_link = (p.U_dc,)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return speed, fluxes and currents, and these as they are converted."""
         i_a, i_b, i_c, T_e = measured(x, self._inv_L_sigma, self.p.pole_pairs)
         convert, k = self._convert, x.k

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from softrig_control.pid import Pid, PidParams, PidState
-from softrig_core import Block, BlockParams, param
+from softrig_core import Block, BlockParams, Values, param
 
 from .ports import SPEED, SPEED_REF, TORQUE_REF
 
@@ -47,7 +46,7 @@ class SpeedController(Block[SpeedControllerParams]):
 
     def update(
         self, x: State, t: int, *, joint_states: tuple[float, ...], speed_ref: tuple[float, ...] | None
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Return the torque reference; without a speed reference hold the standstill."""
         target = 0.0 if speed_ref is None else speed_ref[0]
         reference = x.reference + min(max(target - x.reference, -self._rise), self._rise)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core import Array, Block, BlockParams, jit, param
+from softrig_core import Array, Block, BlockParams, Values, jit, param
 
 from .machine import N_PHASES, Geometry, distance, profile
 from .ports import FORCE_CMD, MOTION, PHASE_CURRENTS, PHASE_VOLTAGE
@@ -84,7 +83,7 @@ class CurrentController(Block[CurrentControllerParams]):
         joint_states: tuple[float, ...],
         phase_currents: tuple[float, ...],
         force_cmd: tuple[float, ...],
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Return the voltages."""
         result = regulate(x.integral, joint_states, phase_currents, force_cmd[0], self._geometry, self._law)
         return State(result[:N_PHASES]), {"phase_voltage": result[N_PHASES:]}

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
 from softrig_control.fuzzy import And, TakagiSugeno, sum_rules
-from softrig_core import param
+from softrig_core import Values, param
 
 from .speed_control import SpeedControl, SpeedControlParams
 
@@ -70,7 +69,7 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
 
     def update(
         self, x: State, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Return the force command."""
         p = self.p
         error = reference[1] - joint_states[0]

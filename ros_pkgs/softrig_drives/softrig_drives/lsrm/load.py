@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from softrig_control.profile import StepProfile
-from softrig_core import Block, BlockParams, param
+from softrig_core import Block, BlockParams, Values, param
 
 from .ports import LOAD
 
@@ -41,6 +40,6 @@ class LsrmLoad(Block[LsrmLoadParams]):
         p = self.p
         self._answers = StepProfile(p.times, [{"load": (m, p.mu * m * GRAVITY)} for m in p.masses])
 
-    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
         """Return the load at t."""
         return x, self._answers.at(t)

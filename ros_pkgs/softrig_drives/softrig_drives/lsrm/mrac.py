@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrig_core import param
+from softrig_core import Values, param
 from softrig_core.kit.dense import total
 
 from .machine import Mechanics
@@ -73,7 +72,7 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
 
     def update(
         self, x: State, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Adapt, then return the force command."""
         p, v = self.p, joint_states[0]
         error = v - reference[1]

@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
-from softrig_core import Array, BlockParams, Level, Marker, Plant, jit, param
+from softrig_core import Array, BlockParams, Level, Marker, Plant, Values, jit, param
 
 from .machine import N_PHASES, STATES, Geometry, Mechanics, Vector, advance, distance, phase
 from .markers import stator, translator
@@ -81,7 +81,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         """Rest without current."""
         return State(x=self.p.x_0)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return motion, currents and forces at t."""
         result = sense(x[:STATES], self._geometry)
         return {"joint_states": result[:3], "phase_currents": result[3:7], "force_phases": result[7:]}

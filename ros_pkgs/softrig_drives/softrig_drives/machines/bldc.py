@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from softrig_control.profile import StepProfile
-from softrig_core import BlockParams, Level, Plant, command, jit, param, resolving_step, to_ns
+from softrig_core import BlockParams, Level, Plant, Values, command, jit, param, resolving_step, to_ns
 
 from .mechanics import Mechanics, finer, friction
 from .ports import CURRENTS, DC_LINK, JOINT_STATES, LEGS, LOAD_TORQUE
@@ -247,7 +246,7 @@ class BldcPlant(Plant[BldcPlantParams]):
         self._profile = StepProfile(p.load_times, p.load_torques)
         self._period = to_ns(p.period)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return shaft, phase currents, supply."""
         angle = self.p.pole_pairs * x.theta
         third = 2.0 * math.pi / 3.0

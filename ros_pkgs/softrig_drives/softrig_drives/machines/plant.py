@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from softrig_control.profile import StepProfile
-from softrig_core import Array, Level, Plant, Port, param, resolving_step, to_ns
+from softrig_core import Array, Level, Plant, Port, Values, param, resolving_step, to_ns
 from typing_extensions import TypeVar
 
 from . import synchronous
@@ -110,7 +109,7 @@ class MachinePlant(Plant[P]):
         self._two_masses = p.J_load > 0.0
         self._capacitor = p.C_dc > 0.0
 
-    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Values:
         """Return shaft, phase currents, DC voltage and the duty ratios of the period before."""
         now = self.nine(x)
         i_alpha, i_beta, torque = self._seen(now[0], now[1], now[2], now[3], now[5], self._m)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from softrig_control.profile import StepProfile
-from softrig_core import BlockParams, Level, Plant, command, param, resolving_step, scalars, to_ns
+from softrig_core import BlockParams, Level, Plant, Values, command, param, resolving_step, scalars, to_ns
 
 from .circuit import advance, output
 
@@ -101,7 +100,7 @@ class DcdcPlant(Plant[DcdcPlantParams]):
         """Begin without current."""
         return State(v=self.p.v_0)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return output voltage, current, mean current of the period before, input voltage."""
         v_out = output(x.i, x.v, 0.0 if self._boost else 1.0, self._profile.at(t), self._m)
         return {"converter": (v_out, x.i, x.i_mean, self.p.U)}

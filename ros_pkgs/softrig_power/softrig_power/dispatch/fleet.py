@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import field_validator
-from softrig_core import BlockParams, Plant, Port, command, joint_state, param, scalars, state_type
+from softrig_core import BlockParams, Plant, Port, Values, command, joint_state, param, scalars, state_type
 
 from .units import Units
 
@@ -63,7 +63,7 @@ class UnitFleet(Plant[FleetParams]):
         """Return all units at their lower limits; the state is the output P (MW) of each."""
         return state_type(("P", self._units.ids))(*self._units.p_min.tolist())
 
-    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Values:
         """Return outputs, marginal costs and sums."""
         units, P = self._units, np.array(x)
         left, right = units.slopes(P)

@@ -15,6 +15,7 @@ from softrig_core import (
     Result,
     Solver,
     SolverParams,
+    Values,
     Work,
     array,
     button,
@@ -230,9 +231,7 @@ class DispatchSolver(Solver[DispatchParams]):
         result.bound = plain.total(lambda_iteration(plain, demand))
         return result
 
-    def answer(
-        self, x: State, t: int, result: Result | None, new: bool
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Values]:
         """Return a new dispatch once, nothing at other ticks."""
         if not new or result is None:
             return x, {}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import BlockParams, Level, Plant, Port, button, param, vector3
+from softrig_core import BlockParams, Level, Plant, Port, Values, button, param, vector3
 from softrig_core.kit.draws import Draws
 from softrig_core.kit.newest import Newest
 
@@ -112,7 +112,7 @@ class LinePlant(Plant[LinePlantParams]):
             )
         return (k / self._rate, *messages)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return the samples; with the last one of a record the record."""
         row, fault = self._row(x.k, x.seed, x.line.measured()), x.line.fault_current()
         if self.p.record and x.k == self._last:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import SECOND, Level, Plant, Port, array, param
+from softrig_core import SECOND, Level, Plant, Port, Values, array, param
 from softrig_core.kit import dense
 
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, Rows, State as Network, Turning, circuit, moved
@@ -120,7 +120,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     def _conduction(self, v: complex, v_dc: float) -> float:
         return conduction(abs(v), v_dc, self.p.network.series_limit)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return the measured vectors, the DC voltage and the status at t."""
         window = x.seen
         rows = window.rows

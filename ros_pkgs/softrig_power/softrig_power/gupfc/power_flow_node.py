@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from softrig_core import Block, BlockParams, Level, array, button, param
+from softrig_core import Block, BlockParams, Level, Values, array, button, param
 
 from .flow.power_flow import Diverged, PowerFlow, References, Solution
 from .network import BUSES, NetworkParams
@@ -79,7 +79,7 @@ class PowerFlowNode(Block[PowerFlowParams]):
         series_1: tuple[float, ...] | None,
         series_2: tuple[float, ...] | None,
         shunt: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Answer if there is anything to answer."""
         pressed = request == (1.0,)
         asked = self._references(series_1, series_2, shunt)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
-from softrig_core import Block, BlockParams, Level, array, param, scalars, vector3
+from softrig_core import Block, BlockParams, Level, Values, array, param, scalars, vector3
 
 from . import pulses
 from .ports import converter_command
@@ -59,9 +58,7 @@ class PulseGenerator(Block[PulseGeneratorParams]):
         """Ticks of a command."""
         self._ticks = max(1, round(self.p.command_period / self.p.period))
 
-    def update(
-        self, x: State, t: int, *, command: tuple[float, ...] | None
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: State, t: int, *, command: tuple[float, ...] | None) -> tuple[State, Values]:
         """Answer one tick."""
         if command is not None and command != x.command:
             if 0.0 < command[0] <= math.pi * (1.0 + 1e-12):

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from softrig_control.filters import Filtered, SecondOrderFilter
 from softrig_control.phase_locked_loop import Locked, PhaseLockedLoop, PllParams
-from softrig_core import Block, Level, Port, param
+from softrig_core import Block, Level, Port, Values, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SERIES, SERIES_REFERENCE, measured
@@ -111,9 +111,7 @@ class SeriesController(Block[SeriesControllerParams]):
         integral = self._v * cmath.rect(1.0, -theta)
         return State(integral, 0j, locked, u_x, i_x, (abs(self._v), cmath.phase(self._v), p.network.omega))
 
-    def update(
-        self, x: State, t: int, *, reference: tuple[float, ...] | None, **inputs: Any
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: State, t: int, *, reference: tuple[float, ...] | None, **inputs: Any) -> tuple[State, Values]:
         """Answer one tick; P and Q are those of the parameters until a reference arrives."""
         p = self.p
         asked = self._asked if reference is None else complex(reference[0], reference[1])
@@ -144,7 +142,7 @@ class SeriesController(Block[SeriesControllerParams]):
         command = (abs(v), math.remainder(theta + cmath.phase(v), math.tau), locked.omega)
         return State(integral, error, locked, u_x, i_x, command), {self._name: command}
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Turn the last voltage on."""
         magnitude, angle, omega = x.command
         command = (magnitude, math.remainder(angle + self.p.period * omega, math.tau), omega)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from softrig_control.filters import Filtered, SecondOrderFilter
 from softrig_control.phase_locked_loop import Locked, PhaseLockedLoop, PllParams
 from softrig_control.pid import Pid, PidParams, PidState
-from softrig_core import Block, Level, param
+from softrig_core import Block, Level, Values, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SHUNT, SHUNT_REFERENCE, measured
@@ -94,7 +94,7 @@ class ShuntController(Block[ShuntControllerParams]):
 
     def update(
         self, x: State, t: int, *, u1: tuple[float, ...], i_sh: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Answer one tick; v_ref is that of the parameters until a reference arrives."""
         p = self.p
         v_ref = p.initial.v if reference is None else reference[0]
@@ -120,7 +120,7 @@ class ShuntController(Block[ShuntControllerParams]):
         self.report(Level.WARN, f"{quantity}_limited", text)
         return math.copysign(limit, x)
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Turn the last voltage on."""
         sigma, angle, omega = x.command
         command = (sigma, math.remainder(angle + self.p.period * omega, math.tau), omega)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core import Block, BlockParams, Port, array, button, param
+from softrig_core import Block, BlockParams, Port, Values, array, button, param
 
 from .array import ArrayParams, possible, split
 from .ports import environment
@@ -59,7 +58,7 @@ class PvCurves(Block[PvCurvesParams]):
 
     def update(
         self, x: State, t: int, *, environment: tuple[float, ...] | None, request: tuple[float] | None
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Publish the newest requested curve."""
         conditions, shown, pressed = x.conditions, x.shown, request == (1.0,)
         if environment is not None and environment != conditions and possible(self, environment):

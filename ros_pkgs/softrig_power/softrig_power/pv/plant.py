@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, param, scalars
+from softrig_core import BlockParams, Level, Plant, Port, Values, check_steps, command, param, scalars
 from softrig_core.kit.dense import total
 
 from .array import ArrayParams, possible, split
@@ -96,7 +96,7 @@ class PvPlant(Plant[PvPlantParams]):
         conditions = p.irradiance + p.temperature
         return State(*steady_state(p.converter, self._source(conditions), p.d_min), conditions)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return the sensors and the true converter state."""
         v, i = x.v, self._source(x.conditions).current(x.v)
         state = (v, x.i_L, x.v_o, v * i)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from softrig_core import BlockParams, Level, Plant, Port, check_steps, param, to_ns
+from softrig_core import BlockParams, Level, Plant, Port, Values, check_steps, param, to_ns
 
 from . import ports
 from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases
@@ -192,7 +191,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
             return StateDq(p.i_first, 0.0, p.v_start, applied, events, 0, False, record)
         return StateAbc(*abc, p.v_start, applied, events, 0, False, record)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return DC link, currents and voltages of the phases, power quality at t."""
         seconds = t / 1e9
         now = self._period_at(x, x.events, seconds, 0.0)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Literal
 
-from softrig_core import Block, Port, command, joint_state, param, reference
+from softrig_core import Block, Port, Values, command, joint_state, param, reference
 
 from ..joints import PerJoint, require_positive, spread
 from ..urdf import read_urdf
@@ -66,7 +65,7 @@ class ArmController(Block[ArmControllerParams]):
         self._model = (*p.each("armature"), p.payload)
         self._zeros = (0.0,) * self._n
 
-    def update(self, x: Any, t: int, *, joint_states: Vector, reference: Vector) -> tuple[Any, Mapping[str, Vector]]:
+    def update(self, x: Any, t: int, *, joint_states: Vector, reference: Vector) -> tuple[Any, Values]:
         """Compute the torques."""
         n = self._n
         q, v = joint_states[:n], joint_states[n:]
@@ -96,6 +95,6 @@ class ArmController(Block[ArmControllerParams]):
         ]  # fmt: skip
         return x, {"joint_torques": tuple(torques)}
 
-    def refused(self, x: Any, t: int) -> tuple[Any, Mapping[str, Vector]]:
+    def refused(self, x: Any, t: int) -> tuple[Any, Values]:
         """Return no torque: the torque for a stale state could move the robot anywhere."""
         return x, {"joint_torques": self._zeros}

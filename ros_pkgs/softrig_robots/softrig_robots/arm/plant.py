@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrig_core import Plant, Port, RunError, Scene, command, joint_state, param, to_s, wrench
+from softrig_core import Plant, Port, RunError, Scene, Values, command, joint_state, param, to_s, wrench
 
 from ..joints import PerJoint, spread
 from ..urdf import read_urdf
@@ -80,7 +80,7 @@ class ArmPlant(Plant[ArmPlantParams]):
         p = self.p
         return State(p.each("position"), p.each("velocity"), (0.0,) * self._n)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, Vector]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return positions, velocities, and the torques that were applied."""
         return {"joint_states": (*x.q, *x.v, *x.torque)}
 

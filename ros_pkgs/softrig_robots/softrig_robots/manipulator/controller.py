@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
-from softrig_core import Block, BlockParams, Port, command, joint_state, param, reference, scalars
+from softrig_core import Block, BlockParams, Port, Values, command, joint_state, param, reference, scalars
 
 from ..joints import JointGains, motor_names
 from .adsmc import Adsmc, AdsmcGains
@@ -102,9 +101,7 @@ class VcsController(Block[VcsControllerParams]):
         """Continue with other gains; the docstring of each control law describes how its state continues."""
         return State(tuple(law.go_on(inner) for law, inner in zip(self.laws, x.laws, strict=True)))
 
-    def update(
-        self, x: State, t: int, *, joint_states: Vector, reference: Vector
-    ) -> tuple[State, Mapping[str, Vector]]:
+    def update(self, x: State, t: int, *, joint_states: Vector, reference: Vector) -> tuple[State, Values]:
         """Return the voltages."""
         n = self._n
         e = [reference[i] - joint_states[i] for i in range(n)]

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import cos, pi, sin
 from typing import Any
 
-from softrig_core import Block, BlockParams, Port, param, reference, to_ns, to_s
+from softrig_core import Block, BlockParams, Port, Values, param, reference, to_ns, to_s
 from softrig_core.motion import Goal, Path
 
 from ..joints import PerJoint, joint_units, spread
@@ -47,7 +46,7 @@ class TrajectorySource(Block[TrajectoryParams]):
         self._omega = 2.0 * pi / self.p.cycle
         self._path = Path(self.p.goal, len(self.p.joints)) if self.p.goal.times else None
 
-    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
         """Return the reference at t."""
         if self._path is not None:
             return x, {"reference": self._path.at(t)}

@@ -10,6 +10,7 @@ from softrig_core import (
     BlockParams,
     Level,
     Port,
+    Values,
     command,
     joint_state,
     param,
@@ -194,7 +195,7 @@ class VoltageController(Block[VoltageControllerParams]):
         x2, u2 = second(x.laws[1], q2, v2, motor_states[1], r2, rv2, ra2, V2)
         return self._answer((x1, x2), (u1, u2), (r1 - q1, r2 - q2))
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector] | None]:
+    def refused(self, x: State, t: int) -> tuple[State, Values | None]:
         """Return the last voltages, after `stale_after` ticks 0 V."""
         refusals = x.refusals + 1
         if refusals <= self.p.stale_after:

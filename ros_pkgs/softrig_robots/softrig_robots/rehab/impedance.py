@@ -14,6 +14,7 @@ from softrig_core import (
     BlockParams,
     Level,
     Sample,
+    Values,
     joint_state,
     number,
     param,
@@ -154,7 +155,7 @@ class Impedance(Block[ImpedanceParams]):
             q_next.append(q[i] + T * v_next[i])
         return State(B, K, tuple(q_next), tuple(v_next)), {"regenerated": (*q, *v, *a)}
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector] | None]:
+    def refused(self, x: State, t: int) -> tuple[State, Values | None]:
         """Repeat the last value; after `stale_after` ticks hold still."""
         refusals = x.refusals + 1
         if not x.q or refusals <= self.p.stale_after:

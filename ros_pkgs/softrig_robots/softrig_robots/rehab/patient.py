@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import pi, sin
 from typing import Any
 
-from softrig_core import Block, BlockParams, param, to_ns, wrench
+from softrig_core import Block, BlockParams, Values, param, to_ns, wrench
 
 FOOT = "foot"
 PATIENT_FORCE = "patient_force"
@@ -38,7 +37,7 @@ class Patient(Block[PatientParams]):
         """Turn times into ns."""
         self._begin, self._duration, self._cycle = map(to_ns, (self.p.begin, self.p.duration, self.p.cycle))
 
-    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
         """Return the force at t."""
         since = t % self._cycle - self._begin
         share = sin(pi * since / self._duration) ** 2 if 0 <= since < self._duration else 0.0

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import radians
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from softrig_core import Level, Params, command, joint_state, param, to_ns, to_s, wrench
+from softrig_core import Level, Params, Values, command, joint_state, param, to_ns, to_s, wrench
 
 from ..driven_robot import DrivenRobot, DrivenRobotParams, Friction, Vector
 from ..joints import PerJoint, require_positive, spread
@@ -244,7 +244,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
                 self.report(Level.ERROR, "safe", f"SAFE from t = {to_s(t):.9g} s, motors at 0 V: {reason}")
         return entered, safe
 
-    def outputs(self, x: State, t: int) -> Mapping[str, Vector]:
+    def outputs(self, x: State, t: int) -> Values:
         """Return joint states with the torques after the gears, currents, and the voltages of the last period."""
         return {
             "joint_states": (*x.q, *x.v, *self.gear_torques(x, t, x.force, self.drifted(x.since))),

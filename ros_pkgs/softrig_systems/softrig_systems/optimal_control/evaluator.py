@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from softrig_core import Level, Observer, Port, param, scalars, to_s
+from softrig_core import Level, Observer, Port, Values, param, scalars, to_s
 from softrig_core.kit import dense
 
 from .method.exact import least_cost
@@ -114,7 +114,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         command: tuple[float, ...],
         plan: tuple[float, ...] | None,
         summary: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Process one sample."""
         now, point = to_s(t), np.array(state[: self._n])
         figures, begin, newest = x

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from softrig_core import Block, Port, to_s
+from softrig_core import Block, Port, Values, to_s
 
 from .parameters import ProblemParams
 from .ports import control, state
@@ -45,7 +45,7 @@ class MomentumFeedback(Block[ProblemParams]):
         """Horizon."""
         self._T = self.p.statement().horizon
 
-    def update(self, x: State, t: int, *, state: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def update(self, x: State, t: int, *, state: tuple[float, ...]) -> tuple[State, Values]:
         """Return the torques."""
         if x.begin is None:
             x = State(t)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import Jobs, Level, Port, Result, Solver, SolverParams, button, param, to_s
+from softrig_core import Jobs, Level, Port, Result, Solver, SolverParams, Values, button, param, to_s
 from typing_extensions import TypeVar
 
 from .parameters import ProblemParams
@@ -127,9 +127,7 @@ class Planner(Solver[P]):
             return x, None
         return x, Request(self.p, state[: self._n], left, x.last.memory if x.last else None)
 
-    def answer(
-        self, x: State, t: int, result: Result | None, new: bool
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Values]:
         """Return a new plan once."""
         if not new or result is None:
             return x, {}

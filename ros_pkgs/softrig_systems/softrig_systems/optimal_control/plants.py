@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from softrig_core import Compiled, Level, Marker, Plant, Port, param, rk4, state_type
+from softrig_core import Compiled, Level, Marker, Plant, Port, Values, param, rk4, state_type
 from typing_extensions import TypeVar
 
 from .parameters import ProblemParams
@@ -81,7 +81,7 @@ class OcpPlant(Plant[P]):
         """The problem's start."""
         return self._state(*self._x0, *((self._zero_control,) if self._reports_applied else ()))
 
-    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Values:
         """Return the state; with velocities the command that was applied until now."""
         return {"state": (*x[: self._n], *x.applied) if self._reports_applied else tuple(x)}
 

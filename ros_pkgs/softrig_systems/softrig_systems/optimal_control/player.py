@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from softrig_core import Block, Level, Port, param, scalars, to_s
+from softrig_core import Block, Level, Port, Values, param, scalars, to_s
 
 from .method.mvim import polynomials
 from .parameters import ProblemParams
@@ -58,7 +57,7 @@ class State(NamedTuple):
     plan: Plan = NO_PLAN
 
 
-Answer = tuple[State, Mapping[str, tuple[float, ...]]]
+Answer = tuple[State, Values]
 
 
 class OcpPlayer(Block[PlayerParams]):
@@ -128,7 +127,7 @@ class OcpPlayer(Block[PlayerParams]):
             controls = CubicSpline(np.linspace(0.0, 1.0, self.p.columns), table[2 * self._n :], axis=1)
         return Plan(start, horizon, controls, start if before.begin is None else before.begin, before.seen)
 
-    def _play(self, plan: Plan, t: int) -> Mapping[str, tuple[float, ...]]:
+    def _play(self, plan: Plan, t: int) -> Values:
         now = to_s(t)
         elapsed = now - plan.begin if plan.begin is not None else 0.0
         remaining = max(plan.start + plan.horizon - now, 0.0) if plan.controls is not None else 0.0

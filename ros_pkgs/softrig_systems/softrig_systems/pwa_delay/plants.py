@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core import BlockParams, Level, Plant, Port, check_steps, param, state_type
+from softrig_core import BlockParams, Level, Plant, Port, Values, check_steps, param, state_type
 from softrig_core.kit.dde import Track, trajectory
 from typing_extensions import TypeVar
 
@@ -82,7 +82,7 @@ class DelayPlant(Plant[P]):
         profile = self.p.bounded_profile(self, x.delay.longest)
         return x._replace(delay=Delay(profile, self.constants(profile), x.delay.longest), cell=FREE)
 
-    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Values:
         """Return state, cell and delay at t."""
         now, past = x.k * self.p.period, self._unread if x.past is None else x.past
         cell = int(type(self).cell_of(now, np.array(x[: self._size]), past.open(), x.delay.constants))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from softrig_core import Block, BlockParams, History, Level, param, to_ns
+from softrig_core import Block, BlockParams, History, Level, Values, param, to_ns
 
 from .laws import LAWS, Gains, LawName, Measured, integral_gain
 from .model import Bottleneck, phi, psi
@@ -47,7 +46,7 @@ class LastAnswer:
     command: tuple[float, ...] = (0.0,)
     health: tuple[float, ...] = (0.0, 0.0, 0.0)
 
-    def values(self) -> Mapping[str, tuple[float, ...]]:
+    def values(self) -> Values:
         """Return it by ports."""
         return {"command": self.command, "health": self.health}
 
@@ -69,7 +68,7 @@ class State(NamedTuple):
     last: LastAnswer = SILENCE
 
 
-Answer = tuple[State, Mapping[str, tuple[float, ...]]]
+Answer = tuple[State, Values]
 
 
 class AqmController(Block[AqmControllerParams]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from softrig_core import BlockParams, Level, Plant, Port, param
+from softrig_core import BlockParams, Level, Plant, Port, Values, param
 from typing_extensions import TypeVar
 
 from .model import Bottleneck
@@ -104,7 +104,7 @@ class Network(Plant[P]):
         x = self.begin(Net(p.N, p.C, p.tau_p))
         return self._disturbed(x) if self._change == 0 else x
 
-    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Values:
         """Return the measured state and the truth at t."""
         w, q, served, w_R, q_R = self.seen(x)
         C, tau_p, offset = x.net.capacity, x.net.propagation, x.net.offset

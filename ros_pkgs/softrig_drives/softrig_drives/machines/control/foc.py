@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-from softrig_core import Block, Port, param, scalars, vector3
+from softrig_core import Block, Port, Values, param, scalars, vector3
 
 from ..ports import CURRENTS, DC_LINK, DUTY, SHAFT_MEAS, SPEED_REF, TORQUE_REF
 from .current_control import CurrentControl, CurrentControlParams, Integrals, rotated
@@ -92,7 +91,7 @@ class FocController(Block[FocControllerParams]):
         speed_ref: tuple[float, ...] | None = None,
         torque_ref: tuple[float, ...] | None = None,
         current_ref: tuple[float, ...] | None = None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Compute the duty ratios; a reference that has not arrived counts as zero."""
         p = self.p
         omega = joint_states[1]
@@ -115,6 +114,6 @@ class FocController(Block[FocControllerParams]):
         u, voltage, duty = self._control(x.u, (ref_d - i_d, ref_q - i_q), motional, angle, w, dc_link[0])
         return State(u, speed), {"duty": duty, "foc": (i_d, i_q, ref_d, ref_q, voltage[0], voltage[1], torque)}
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Return zero voltage for this period."""
         return x, {"duty": (0.5, 0.5, 0.5), "foc": (0.0,) * FOC.size}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-from softrig_core import Block, Port, param, scalars
+from softrig_core import Block, Port, Values, param, scalars
 
 from ..ports import CURRENTS, DC_LINK, DUTY, SHAFT_MEAS, SPEED_REF, TORQUE_REF
 from .current_control import CurrentControl, CurrentControlParams, Integrals, rotated
@@ -88,7 +88,7 @@ class ImFocController(Block[ImFocParams]):
         dc_link: tuple[float, ...],
         speed_ref: tuple[float, ...] | None = None,
         torque_ref: tuple[float, ...] | None = None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Compute the duty ratios; a reference that has not arrived counts as zero."""
         p = self.p
         omega = joint_states[1]
@@ -115,7 +115,7 @@ class ImFocController(Block[ImFocParams]):
         angle = math.remainder(x.angle + (w + slip) * p.period, math.tau)
         return State(psi, angle, u, speed), {"duty": duty, "foc": (i_d, i_q, ref_d, ref_q, x.psi, torque)}
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Return zero voltage for this period."""
         return x, {"duty": (0.5, 0.5, 0.5), "foc": (0.0,) * IM_FOC.size}
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrig_core import Block, BlockParams, joint_state, param, vector3
+from softrig_core import Block, BlockParams, Values, joint_state, param, vector3
 
 from ..ports import APPLIED, CURRENTS, DC_LINK, SHAFT
 from .modulation import SQRT3
@@ -70,7 +69,7 @@ class FluxObserver(Block[FluxObserverParams]):
 
     def update(
         self, x: State, t: int, *, currents: tuple[float, ...], applied: tuple[float, ...], dc_link: tuple[float, ...]
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Integrate over the period before, follow the angle."""
         p, T = self.p, self.p.period
         a, b, c = currents
@@ -96,7 +95,7 @@ class FluxObserver(Block[FluxObserverParams]):
         answer = {"estimate": (angle / p.pole_pairs, speed / p.pole_pairs), "flux": (psi_alpha, psi_beta, 0.0)}
         return State(psi_alpha, psi_beta, i_alpha, i_beta, angle, speed), answer
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Hold the estimate."""
         answer = {"estimate": (x.angle / self.p.pole_pairs, x.speed / self.p.pole_pairs)}
         return x, {**answer, "flux": (x.psi_alpha, x.psi_beta, 0.0)}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrig_core import Block, Level, param, scalars
+from softrig_core import Block, Level, Values, param, scalars
 
 from ..bldc import GATES, OFF
 from ..ports import CURRENTS, DC_LINK, SHAFT_MEAS, SPEED_REF
@@ -72,7 +71,7 @@ class SixStepController(Block[SixStepParams]):
         joint_states: tuple[float, ...],
         dc_link: tuple[float, ...],
         speed_ref: tuple[float, ...] | None,
-    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    ) -> tuple[State, Values]:
         """Commutate."""
         p, omega = self.p, joint_states[1]
         sector = _sector(hall[0] > 0.5, hall[1] > 0.5, hall[2] > 0.5)
@@ -101,7 +100,7 @@ class SixStepController(Block[SixStepParams]):
         )
         return State(integral, speed, sector), {"gates": gates, "six_step": (i, i_ref, v, torque)}
 
-    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+    def refused(self, x: State, t: int) -> tuple[State, Values]:
         """Turn all legs off for this period."""
         return x, {"gates": (OFF, OFF, OFF), "six_step": (0.0,) * SIX_STEP.size}
 
