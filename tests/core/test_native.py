@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 from conftest import PATIENCE
 from softrig_core import (
@@ -317,8 +318,8 @@ def test_steps_record_which_ticks_were_native_and_why_others_were_not(monkeypatc
 
 @pytest.mark.parametrize("numba", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_functions_that_native_code_rewrites_have_the_bits_of_pythons(numba: bool) -> None:
-    scope: dict[str, Any] = {"math": math}
-    for name in ("abs_", "phase", "rect", "remainder", "fmod"):
+    scope: dict[str, Any] = {"math": math, "array_floor": np.floor}
+    for name in ("abs_", "phase", "rect", "remainder", "fmod", "whole_"):
         exec(TEXTS[name], scope)
         scope[name] = our_numba().njit(error_model="python")(scope[name]) if numba else scope[name]
 
@@ -331,6 +332,8 @@ def test_functions_that_native_code_rewrites_have_the_bits_of_pythons(numba: boo
     numbers = [0.0, -0.0, math.pi, -math.pi, math.tau, 0.5 * math.tau, 1.5 * math.tau, 1e300, -3e-310]
     rng = random.Random(1)
     numbers += [rng.gauss(0.0, 1.0) * 10.0 ** rng.randint(-9, 9) for _ in range(30)]
+    for x in numbers:
+        assert abs(x) > 4e18 or repr(float(scope["whole_"](x))) == repr(float(math.floor(x)))
     for x, y in itertools.product(numbers, numbers):
         assert reported(scope["abs_"], complex(x, y)) == reported(abs, complex(x, y))
         assert reported(scope["phase"], complex(x, y)) == reported(cmath.phase, complex(x, y))

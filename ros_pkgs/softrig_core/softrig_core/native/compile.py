@@ -22,6 +22,7 @@ from .words import OWN
 BASE: dict[str, Any] = {
     "math": math,
     "array_": np.array,
+    "array_floor": np.floor,
     "float_nan": math.nan,
     "float_inf": math.inf,
     "float_less": -math.inf,

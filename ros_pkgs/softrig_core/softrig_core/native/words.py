@@ -43,6 +43,8 @@ TEXTS: dict[str, str] = {
     **{n: _LARGE.format(name=n) for n in ("exp", "expm1", "sinh", "cosh")},
     **{n: _CUT.format(name=n, call=f"math.{n}") for n in ("floor", "ceil", "trunc")},
     **{f"{n}_": _CUT.format(name=f"{n}_", call=n) for n in ("int", "round")},
+    # `float(floor(x))`, without the two conversions, which are as slow as a division; the sum makes no zero negative.
+    "whole_": _CUT.format(name="whole_", call="0.0 + array_floor"),
     "fmod": "def fmod(x, y):\n    if y == 0.0 or (x - x != 0.0 and x == x):\n        raise ValueError\n"
     "    return math.copysign(abs(x) % abs(y), x)\n",
     "power_": "def power_(x, y):\n    if (x < 0.0 and y != math.floor(y)) or (x == 0.0 and y < 0.0):\n"

@@ -58,18 +58,18 @@ class Converter:
         self._quantised = p.quantised
         self._q = p.lsb
         self._shift = 0.5 - p.offset
-        self._low, self._high = -(2 ** (p.bits - 1)), 2 ** (p.bits - 1) - 1
+        self._low, self._high = -(2.0 ** (p.bits - 1)), 2.0 ** (p.bits - 1) - 1.0
         self._p_d = p.dither_p if p.dithered else 0.0
 
     def beyond(self, x: float) -> bool:
         """Return whether a sample (A) is beyond the range."""
-        return self._quantised and not self._low <= x / self._q + self._shift < self._high + 1
+        return self._quantised and not self._low <= x / self._q + self._shift < self._high + 1.0
 
     def __call__(self, x: float, uniform: float = 1.0) -> float:
         """Convert one sample (A); `uniform`, a random number in [0, 1), decides on the dither bit."""
         if not self._quantised:
             return x
-        code = min(max(floor(x / self._q + self._shift), self._low), self._high) + (uniform < self._p_d)
+        code = min(max(float(floor(x / self._q + self._shift)), self._low), self._high) + (uniform < self._p_d)
         return code * self._q
 
 
