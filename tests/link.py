@@ -1,7 +1,7 @@
 """A link between two network namespaces that delays, reorders and drops UDP, like netem, which some kernels lack.
 
 ``python link.py FIRST SECOND DELAY_MS JITTER_MS LOSS_PERCENT`` hands each frame that arrives at one interface on to the
-other; run it in a namespace of its own, to which both interfaces belong. Says "ready" when it does.
+other; run it in a namespace of its own, to which both interfaces belong. Prints "ready" when the link works.
 """
 
 import heapq

@@ -1,6 +1,6 @@
 """A script as a process that the fork server forks: as by ``python -c``, without half a second of imports.
 
-What is to know nothing of softrig is started by its own interpreter.
+A script that must not have softrig imported is started by an interpreter of its own.
 """
 
 import os
@@ -40,7 +40,7 @@ def go(bench, name):
 
 
 def busy():
-    """How much longer a second takes on a host that does so many things in parallel: each has a processor in
-    its turn.
+    """By which factor a second becomes longer on a host with that many running processes, which take turns on its
+    processors.
     """
     return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))

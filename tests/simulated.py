@@ -120,13 +120,13 @@ class World:
 
 
 class Discovery:
-    """Which node knows of which from when on, drawn from a seed.
+    """When each node learns of each other one, drawn from a seed.
 
     Parameters
     ----------
     rng : random.Random
     longest : int
-        ns that news of an endpoint takes at most.
+        Longest time (ns) until a node learns of an endpoint.
     """
 
     def __init__(self, world, rng, longest=200_000_000):
@@ -160,7 +160,7 @@ class Discovery:
         end.node.in_turn(end.matched, end.peers)
 
     def shown(self, end, observer):
-        """Whether the graph of a node shows an endpoint; each endpoint is announced by itself."""
+        """Whether the graph of a node shows an endpoint; each endpoint becomes known separately."""
         if end.node is observer:
             return True
         key = (id(end), id(observer))
@@ -250,7 +250,7 @@ class SimulatedNode(Middleware):
             end.receive(data)
 
     def in_turn(self, call, *arguments):
-        """Return what is not a message."""
+        """Make a call that delivers no message, within the monitor if messages arrive immediately."""
         if self.prompt:
             with self.monitor:
                 call(*arguments)

@@ -13,18 +13,18 @@ class SimulatedOutside:
     Parameters
     ----------
     member : Member
-        Whose place it takes.
+        The node that it replaces.
     recorded : Recording
-        Of a run with all nodes ours: what it is to say.
+        Of a run without it: the messages that it has to publish.
     world : World
     reads : sequence of Port
         The topics that it reads; the fastest one calls for its answers. None: /clock.
     pause : callable
-        Gives the ns between making its endpoints, one after the other.
+        Returns the time (ns) between the creation of two endpoints.
     bare : bool
         Whether it is no ROS node: its endpoints have no name.
     realtime : bool
-        Whether t = 0 is at the stamp of the first call; what it says is then stamped accordingly. It must be called.
+        Whether t = 0 is at the stamp of the first message that it reads; its own stamps then begin there.
     """
 
     def __init__(self, rig, member, recorded, world, reads, pause=lambda: 0, name=None, realtime=False, bare=False):

@@ -1,7 +1,7 @@
 """Messages in every form that a port accepts are recorded, read, shown, compared and exported by name.
 
 A node outside may change the form of its messages while it runs: order of the channels, further fields, of any length,
-the other names that a port knows, the byte order. The measure is `Decoder`, by which the port took them.
+the other names that a port knows, the byte order. Each is compared with what `Decoder` accepted, which the port uses.
 """
 
 import json

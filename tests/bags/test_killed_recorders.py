@@ -1,7 +1,7 @@
 """Bags of recorders that are killed at a random moment, in each way in which rosbag2 writes.
 
 The child writes as rosbag2 does (its schema, a transaction a batch, the pragmas and options of its presets) with the
-libraries `sqlite3` and `mcap`. What these libraries find in what is left is the measure.
+libraries `sqlite3` and `mcap`. A bag is compared with what these libraries read from the remaining file.
 """
 
 import io

@@ -81,7 +81,7 @@ def agree(x, y, tolerance):
 def by_hand(one, two, tolerance, bitwise, alone):
     """The result for a topic, and the differences in the order in which a person would look for them.
 
-    Stamps of a topic that are all equal, in one of the bags, say nothing: bag time is taken.
+    Stamps of a topic that are all equal, in one of the bags, pair nothing: the times of the bag are used instead.
     """
     (topic, rows_a), (_, rows_b) = one, two
     stamped = topic != "number" and (

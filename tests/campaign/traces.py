@@ -49,8 +49,8 @@ def segments() -> set[str]:
 def left_in_memory(before: set[str], domain: int | None) -> list[str]:
     """Return new files without a living owner that the next runs would not remove either.
 
-    Other runs of this machine come and go, and die, meanwhile: only what outlives three clearings is judged, and
-    what lies in the domain only if nobody uses that again by now.
+    Other runs of this machine start and end meanwhile. So a file counts only if it remains after three removals, and a
+    file of the domain only if no process uses that domain again.
     """
     left = segments() - before
     with ExitStack() as stack:
@@ -71,6 +71,6 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
 
 
 def _judged(name: str, own_ports: set[str]) -> bool:
-    """Return whether the next run removes a file: ports of another domain are removed when that is used again."""
+    """Return whether the next run removes a file; it leaves ports of another domain until a run uses that domain."""
     stem = name.removesuffix("_el")
     return stem in own_ports if "_port" in name else stem != name

@@ -75,7 +75,7 @@ def test_the_time_shift_is_found(tmp_path, late):
     ],
 )  # fmt: skip
 def test_an_epoch_is_an_integer_of_64_bits(tmp_path, left, epoch):
-    """As in a bag; anything else is ignored, and times stay as they are."""
+    """A bag stores such an integer; any other epoch is ignored, and times stay as they are."""
     recording = Recording([("plant/state", STATE)])
     recording.add(0, 5, LAYOUT.encode(5, (1.0, 1.0)))
     write_bag(tmp_path / "bag", recording, custom_data={EPOCH: left})

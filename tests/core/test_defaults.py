@@ -1,8 +1,8 @@
 """Defaults are part of the interface: each default and constant is written down.
 
-A scenario, a call and a bag that leave something out mean another thing when a default changes, without a word, and so
-does all that a constant of a module or class decides. Of a parameter its bounds and whether it may change in a run
-stand beside its default. Who changes one on purpose writes the list anew:
+If a default changes, every scenario, call and bag that omits the value changes its meaning without a message; the same
+holds for the constants of modules and classes. Beside the default of a parameter the list has its bounds and whether it
+may change during a run. After an intended change write the list again:
 ``scripts/softrig python tests/core/test_defaults.py``.
 """
 

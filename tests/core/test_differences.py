@@ -16,7 +16,7 @@ LINK = "law/u"
 class Map:
     """x+ = f(x, v, w), output = g(x, v, w): v are the values of the link's subscribers, w those of the sources.
 
-    `direct` is how much of it the link says at once; what `g` says of the link is the rest.
+    `direct` is the part of the output that depends on the link in the same tick; `g` has the rest.
     """
 
     t, period = 1.5, 0.25

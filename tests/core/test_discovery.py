@@ -207,7 +207,8 @@ def test_a_recorder_in_the_domain_of_a_rig_records_everything(asks, seeds):
 def guests(kind, rng):
     """Draw the external nodes: one plant, or any of the others.
 
-    Outside nodes that wait for each other are their owners' business, and nobody tells for them when they are silent.
+    A plant is not drawn together with others: outside nodes that wait for each other would be silent, and no node would
+    report it.
     """
     members = [m for m in rig_and_record(kind)[0].members if m.package == "faultrig"]
     members = [m for m in members if m.outputs and not any(p.sporadic for p in m.outputs)]

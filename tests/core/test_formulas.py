@@ -1,7 +1,7 @@
 """Random formulas of the whole grammar, on random records, against the definition in plain loops.
 
 The records end anywhere: within windows, before them, at their last tick. Numbers are missing, arithmetic is undefined,
-signals come late. Held against the loops: the margin of the whole record, and the live bounds after each of its ticks.
+signals come late. Compared with the loops: the margin of the whole record, and the live bounds after each of its ticks.
 """
 
 import math
@@ -94,7 +94,9 @@ def write(tree):
 
 
 class Loops:
-    """The definition: least (0) or greatest (1) over what follows the record, and over what is undefined."""
+    """The definition: the least (0) or greatest (1) margin over all continuations of the record and all values of what
+    is undefined.
+    """
 
     def __init__(self, samples, first, ended):
         self.samples, self.first, self.ended, self.known = samples, first, ended, {}
@@ -356,7 +358,7 @@ def interpreted():
 
 
 def both(formula, rng, size):
-    """Return what one pass and what the reference say of a random record: a margin, or why there is none."""
+    """Return the results of one pass and of the reference for a random record: a margin, or why there is none."""
     times, y = np.arange(size) * PERIOD * SECOND, rng.normal(size=size)
     x = rng.normal(size=size) * rng.choice([0.1, 1.0, 3.0])
     kind = rng.integers(5)

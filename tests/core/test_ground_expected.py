@@ -300,7 +300,7 @@ def test_a_fingerprint_covers_the_files_except_generated_ones(tmp_path, monkeypa
 
 
 def test_the_digest_is_that_of_the_functions_listed_here():
-    """Bags contain it: a change makes earlier bags belong to another machine."""
+    """Bags contain the digest: if it changed, earlier bags would count as recorded on another machine."""
     intervals = {
         "sin": (-40, 40),
         "cos": (-40, 40),

@@ -1,7 +1,7 @@
 """All times, sizes and counts that nodes and runs use, in one table; the meaning of each is documented at its
 definition.
 
-Who changes one on purpose changes it here, too; and knows of the others that it has to do with.
+An intended change of a value is made here, too, where the values that depend on it are in view.
 """
 
 import signal

@@ -106,7 +106,7 @@ class Line:
 
 
 class Gain:
-    """Called as a function."""
+    """An object that is called as a function."""
 
     def __init__(self, factor: float) -> None:
         self.factor = factor
@@ -120,7 +120,7 @@ class Gain:
 
 
 class Base(Block[BlockParams]):
-    """Has a method that the other calls."""
+    """Has the method that `Owner` calls."""
 
     def half(self, value: float, n: int = 2) -> float:
         """Less."""
@@ -128,7 +128,7 @@ class Base(Block[BlockParams]):
 
 
 class Owner(Base):
-    """Whose functions these are."""
+    """The block whose methods are compiled."""
 
     INPUTS = OUTPUTS = ()
 
@@ -164,12 +164,12 @@ class Owner(Base):
 
 
 def limited(x: float, least: float = -3.0, most: float = 3.0) -> float:
-    """Not beyond."""
+    """Return x, limited to both ends."""
     return min(max(x, least), most)
 
 
 def sum_all(*values: float, **words: float) -> float:
-    """Takes any number of them."""
+    """Takes any number of arguments, with and without names."""
     return total(values) + total(list(words.values()))
 
 
@@ -179,7 +179,7 @@ def itself(x: float) -> float:
 
 
 def never(x: float) -> float:
-    """Has no answer."""
+    """Never returns a value."""
     raise ValueError
 
 

@@ -68,7 +68,7 @@ class Body(Plant[Params]):
 
 
 class Telling(Body):
-    """Reports."""
+    """A body that reports a text."""
 
     def advance(self, x: State, t: int, *, push: tuple[float, ...]) -> State:
         """Move."""
@@ -78,7 +78,7 @@ class Telling(Body):
 
 
 class Law(Block[Params]):
-    """Pushes back."""
+    """A law whose force is opposite to the displacement."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (PUSH,)
@@ -93,7 +93,7 @@ class Law(Block[Params]):
 
 
 class Deciding(Law):
-    """Leaves some ticks to Python."""
+    """A law that is not native at some ticks, so Python runs them."""
 
     def decides(self, x: float, t: int) -> bool:
         """Select the ticks at which it has moved far."""
@@ -112,7 +112,7 @@ class Sensor(Block[Params]):
 
 
 class Talker(Block[Params]):
-    """Publishes now and then."""
+    """Publishes at some ticks only."""
 
     INPUTS = (LATE,)
     OUTPUTS = (SPORADIC,)
@@ -125,7 +125,7 @@ class Talker(Block[Params]):
 
 
 class Both(Block[Params]):
-    """Publishes one thing or another, and two things late."""
+    """Publishes one of two topics at a tick, and two others late."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (
@@ -221,7 +221,7 @@ class Wide(Plant[Params]):
 
 
 class Short(Law):
-    """Publishes too few numbers."""
+    """Publishes fewer numbers than its port has."""
 
     def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
         """Answer."""

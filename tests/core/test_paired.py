@@ -1,6 +1,7 @@
 """Which message a lockstep tick uses, and which it waits for: against lists of messages, delivered in any order.
 
-Rows of the table of senders by themselves, fed with bytes by hand; and when a run that stands is ended, and why.
+Rows of the table of senders by themselves, fed with bytes by hand; and when and why a run that makes no progress is
+ended.
 """
 
 import math

@@ -1,7 +1,7 @@
 """ROS behind the seam, piece by piece and without a graph: messages, interfaces of a node, timers, sets, callbacks,
 clients.
 
-A node of rclpy's is stood for by what the pieces call of it.
+In place of a node of rclpy the pieces have an object with the methods that they call.
 """
 
 import ctypes
@@ -657,7 +657,7 @@ def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after
 
 
 def test_posted_calls_are_made_by_the_executor_in_their_turn():
-    """Not by a timer: with one that is always due, this executor would check all timers more and more often."""
+    """No timer makes them: with one that is always due, this executor would check all timers more and more often."""
     node, log = Rcl(), []
     tasks = []
     node.executor = SimpleNamespace(create_task=tasks.append)

@@ -145,7 +145,9 @@ def flat(data, above=()):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_mapping_laid_over_another_replaces_its_leaves(seed):
-    """Leaf by leaf: those of the upper one, and those of the lower that are not below a key it has or removes."""
+    """The result has the leaves of the upper mapping, and those of the lower one below no key that the upper one has or
+    removes.
+    """
     rng = random.Random(seed)
 
     def tree(depth, none):

@@ -506,6 +506,8 @@ class Turned(Block):
 
 @pytest.mark.parametrize("runs", [1, 10**6])
 def test_a_whole_number_beside_a_float_reaches_its_reader_as_a_float(runs):
-    """As over ROS: -0 is 0, and -0.0 is not, so Python and native code, and two placements, would differ."""
+    """Over ROS it is a float, too. The integer -0 is 0 and -0.0 is not, so Python and native code would differ
+    otherwise.
+    """
     run = simulate(Rig.from_blocks({"tank": Whole(), "law": Turned()}, duration=0.1), runs=runs)
     assert set(run.signals["tank/pump/pump/effort"].x.tolist()) == {-math.pi}

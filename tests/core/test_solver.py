@@ -169,7 +169,7 @@ def test_the_result_of_a_solver_is_checked():
 def test_nodes_give_the_bits_of_the_blocks_while_the_work_exceeds_their_timeout(tmp_path):
     """A plan of 3.7 s against a timeout of 3 s: the others are informed that the planner is busy.
 
-    The second one: who has not begun yet is given as long as a start may take.
+    The second case: a node that has not begun yet may take as long as a start.
     """
     wired = rig(0.2, timeout=3.0, work=3.7, fault="late")
     outcome = run_processes(wired, 0, tmp_path)

@@ -501,7 +501,7 @@ def test_a_topic_of_another_type_is_reported_once_and_a_watch_writes_the_status(
 
 
 def test_a_missing_external_node_is_named_once_with_what_its_vendor_needs(tmp_path):
-    """In a launch no other process reports it; `run` has `Guests`."""
+    """In a launch no other process reports it; in `softrig run` the class `Guests` does."""
     hand, _, adapter = node(Gain(), law_links())
     Group([adapter])
     watch = next(t for t in hand.timers if t.call.__name__ == "watch").call

@@ -35,7 +35,7 @@ class Seen(Gain):
 
     def update(self, x, t, **inputs):
         if t == 10_000_000:
-            stuck._running._look(0.0, stuck.LOOK)
+            stuck._running._check(0.0, stuck.LOOK)
             assert threading.get_ident() in stuck._running._seen
         return super().update(x, t, **inputs)
 

@@ -39,7 +39,7 @@ STEPS = {
 
 
 def stepped(name, link, height, begin, end):
-    """Run a scenario with an offset on a link; return its signals."""
+    """Run a scenario with an offset of `height` on a link from `begin` to `end`; return its signals."""
     topic, channel, _ = link.rsplit("/", 2)
     fault = {"link": topic, "kind": "offset", "channels": [channel], "value": [height], "from": begin}
     scenario = load_scenario(name).having(faults={"step": fault}, duration=end, figures={}, expect={}, claims={},

@@ -103,7 +103,7 @@ def test_the_kept_messages_are_read_as_signals():
 
 
 def test_a_step_before_the_kept_messages_is_dropped():
-    """A step is a change of a value; without one, it is the first kept message, if there is any."""
+    """A step is a change of a value; without a change the first kept message counts as the step, if there is one."""
 
     def seen(**rows):
         kept = {name: Kept() for name in ("state", "flags")}

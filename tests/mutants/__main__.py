@@ -31,7 +31,7 @@ BARE = {name: value for name, value in os.environ.items() if name not in OURS}
 
 
 class Tests:
-    """Facts about the tests: their seconds, and which execute a line."""
+    """The seconds of each test, and the tests that execute each line."""
 
     def __init__(self, file: Path) -> None:
         self.seconds: dict[str, float] = {}

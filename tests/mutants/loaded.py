@@ -1,14 +1,15 @@
 """Plugin of pytest: mutants are put into the loaded functions, each in a fork of a session that has collected.
 
-Ten times as quick as `scripts/mutants`, which writes each into its file and imports all anew; what stands outside of
-functions, or in compiled or cached ones, it leaves out. The kinds take turns. In a worktree of its own::
+Ten times as quick as `scripts/mutants`, which writes each mutant into its file and imports everything again; code
+outside of functions, and compiled or cached functions, are left out. The kinds take turns. Run it in a separate
+worktree::
 
     PYTHONPATH=tests/mutants MUTANTS_LINES="FILE ..." MUTANTS_UNDER="ros_pkgs/softrig_core/" MUTANTS_OUT=found.jsonl \
         scripts/softrig python -m pytest -q -p loaded tests/core tests/bags
 
-FILE is what ``scripts/mutants --lines FILE`` keeps, of this commit; MUTANTS_SEED, MUTANTS_COUNT, MUTANTS_SECONDS (of
-tests a mutant, the quickest first) and MUTANTS_KINDS may be given. A line of JSON each goes to MUTANTS_OUT, which is
-gone on with when it is there.
+FILE is the file that ``scripts/mutants --lines FILE`` has written at this commit; MUTANTS_SEED, MUTANTS_COUNT,
+MUTANTS_SECONDS (of tests for each mutant, the quickest first) and MUTANTS_KINDS are optional. MUTANTS_OUT gets a line
+of JSON for each mutant; an existing file is continued.
 """
 
 import ast

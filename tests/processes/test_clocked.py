@@ -143,7 +143,9 @@ def test_a_mismatch_is_refused(external: dict[str, Any], message: str) -> None:
 
 
 def test_a_time_that_was_lost_is_published_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Subscriptions of /clock have best effort: under load one of some hundred times was lost, and the run with it."""
+    """Subscriptions of /clock have best effort: under load one message in some hundred was lost, and the run did not
+    continue.
+    """
     monkeypatch.setattr("softrig_nodes.ros.guest.AGAIN", 0.0)
     guest, times = Guest.__new__(Guest), list[int]()
     vars(guest).update(_seconds=20.0, _outputs=[], _executor=SimpleNamespace(spin_once=lambda seconds: None))

@@ -340,7 +340,7 @@ def test_a_status_is_complete_while_it_is_changed_in_place(tmp_path, monkeypatch
 
 @pytest.mark.parametrize("states", [("failed", "done"), ("done", "done"), ("failed", "failed")])
 def test_a_container_whose_nodes_have_all_ended_does_not_wait(monkeypatch, states):
-    """Only beside a running node does a failed one leave the others a second."""
+    """The container waits a second after a failure only if another node still runs."""
     asked, now = [], time.monotonic_ns()
     monkeypatch.setattr(container_module.rclpy, "ok", lambda: True)
     container = object.__new__(Container)

@@ -505,8 +505,8 @@ def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
 
 
 def test_a_port_number_with_an_existing_file_is_chosen_last(tmp_path, monkeypatch):
-    """A process that wrote to its dead owner continues with that file, so its messages to a new owner of the name are
-    lost.
+    """A process that wrote to the dead owner of the file continues to use it, so its messages to a new owner of the
+    same name are lost.
     """
     for name in ("fastrtps_port9236", "fastrtps_port9237_el", "sem.fastrtps_port1_mutex", "fastrtps_0123456789abcdef"):
         (tmp_path / name).touch()

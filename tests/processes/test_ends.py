@@ -375,7 +375,7 @@ def test_nodes_whose_processes_are_stopped_end_the_run_by_name(containers, tmp_p
 @pytest.mark.parametrize("held", ["plant", "source", "gain"])
 @pytest.mark.parametrize("seconds", [4.5, 9.0, 13.0])
 def test_a_node_that_is_stopped_for_less_than_the_timeout_is_waited_for(held, seconds, tmp_path):
-    """No node takes it for dead in the meantime, and no message to it is lost."""
+    """No other node considers it dead in the meantime, and no message to it is lost."""
     rig, strikes = rig_of(make_scenario(BASIC, 150.0, timeout=10.0)), [seconds]
 
     def progress(t):

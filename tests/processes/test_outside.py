@@ -106,7 +106,7 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
 
 
 def by_chance(rig):
-    """Nodes that read sporadic messages of an outside node, whose silence is not announced, and the subscribers of
+    """Nodes that read sporadic messages of an outside node, which does not announce its silence, and the subscribers of
     these nodes.
     """
     result = set()

@@ -213,7 +213,7 @@ TAKES_OVER = PUBLISHER.replace("VALUE", "2.0 if said < 100 else 3.0").replace("d
 
 @pytest.mark.long
 def test_the_only_one_of_two_publishers_that_publishes_is_accepted(bench):
-    """The first one stays matched and is silent, as a killed one is for its lease."""
+    """The first publisher stays matched and is silent, as a killed node is until its lease ends."""
     bench.start("plant", "plant")
     outside(bench, "intruder", TAKES_OVER)
     bench.wait(lambda: 3.0 in bench.signal("plant", APPLIED).x)

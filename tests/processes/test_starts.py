@@ -81,7 +81,9 @@ def killings():
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("beside", [nullcontext, killings])
 def test_no_start_is_lost(beside):
-    """Some minutes on two cores; `SOFTRIG_REAL_STARTS` sets another number, `trial(seed)` repeats one."""
+    """It takes some minutes on two cores; `SOFTRIG_REAL_STARTS` sets another number of starts, `trial(seed)` repeats
+    one.
+    """
     number = int(os.environ.get("SOFTRIG_REAL_STARTS", "250"))
     with beside() as killed, ThreadPoolExecutor(3) as pool:
         results = [(seed, *result) for seed, result in enumerate(pool.map(trial, range(number)))]

@@ -158,7 +158,7 @@ def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_
 def test_no_call_of_a_live_node_changes_type_range_or_existence(seed, tmp_path, monkeypatch):
     """Each executable started alone and in a rig in turn; `scripts/campaign services` tries all.
 
-    The first one waits for nobody: it answers ticks without end, and its services all the same.
+    The node that is started alone waits for no other: its ticks never end, and its services answer during them.
     """
     for name, value in os.environ.items():
         monkeypatch.setenv(name, value)  # the test itself sets some of these

@@ -180,7 +180,7 @@ def theorem_1_of_cells(rng):
 
 
 def margin_by_simulation(rng):
-    """The result of `margin_search`: stable on its grid below, at the edge there."""
+    """The result of `margin_search`: stable on its grid below the margin, and at the edge of stability there."""
     A, Ad, h = a_linear_system(rng, 2)
     low, high = 0.5 * h, 1.3 * h
     what = f"{low!r} to {high!r} A = {A.tolist()} Ad = {Ad.tolist()}"
@@ -198,10 +198,10 @@ def margin_by_simulation(rng):
 
 
 def lowest_level(h, s, kL, kR, c, start, rng):
-    """The lowest level if the delay, up to h with the hold, selects from everything in the pipe: the most, then the
-    least.
+    """The lowest level if the delay, up to h with the hold, selects first the largest and then the least flow in the
+    pipe.
 
-    A trajectory of the tank but for the drain, which is late by a step: at most c sqrt(highest) of it.
+    It differs from a trajectory of the tank only by the drain, which is late by a step: at most c sqrt(highest) of it.
     """
     steps = 250
     dt = h / steps

@@ -130,7 +130,7 @@ def test_recorders_of_two_zones_are_aligned_by_their_time_codes(tmp_path, dates,
 
 
 def test_stamps_in_nanoseconds_are_kept(tmp_path):
-    """R starts 10 ms and 125.25 us later: half a sample and a quarter us, which resampling takes out."""
+    """R starts 10 ms and 125.25 us later: half a sample and a quarter of a microsecond, which resampling removes."""
     s, r = two(tmp_path, dates=["02/03/2024,10:00:00.010125250"] * 2)
     r.us = r.us * 1000
     x = waves(late=0.01012525, channels=6)

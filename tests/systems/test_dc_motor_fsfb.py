@@ -64,7 +64,7 @@ def settling(signals, step):
 
 
 def unsettled(signals, step):
-    """Return whether it leaves the 2 % band again within the last two seconds."""
+    """Return whether the axis leaves the 2 % band again within the last two seconds."""
     return measures.peak(signals, Y, reference=step, start=6.0) > 0.02 * step
 
 

@@ -119,7 +119,9 @@ def test_scip_confirms_the_13_units():
 
 @pytest.mark.long
 def test_the_plain_two_stages_are_no_proof():
-    """One segment an arch ends in other arches: the method of the paper finds the optimum only by luck."""
+    """With one segment for each arch the result is in other arches: the method of the paper finds the optimum only by
+    chance.
+    """
     units = Units.read("units_3")
     assert Optimiser(units, nseg=1).two_stage(850.0).cost == pytest.approx(8343.936, abs=1e-2)
     assert Optimiser(units, nseg=4).two_stage(850.0).cost == pytest.approx(8234.071730, abs=1e-4)

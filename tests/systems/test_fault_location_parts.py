@@ -1005,7 +1005,7 @@ def test_all_wrong_wirings_of_the_ends_are_tried():
 
 
 def contradicted(monkeypatch, own, others, least_at=2, limit=0.05, voltage=1000.0, part=None):
-    """The report about ends that disagree by `own` (V), and by given amounts with other wirings."""
+    """The report about ends that disagree by `own` (V) as wired, and by `others` with other wirings."""
     record = types.SimpleNamespace(
         group=lambda name: np.full((4, 3), voltage if name == "u_s" else 0.5 * voltage), by=own, part=own
     )

@@ -162,7 +162,7 @@ def numbers_said(run, topic):
 
 
 def suffered(name, duration, topic, kind):
-    """Run a system with a large fault on a link; return what is wrong with its reaction, empty for nothing."""
+    """Run a system with a large fault on a link; return what is wrong with its reaction, or an empty text."""
     value = {"scale": [-1e9], "offset": [1e9], "spike": [-1e9], "drift": [1e12], "delay": []}.get(kind)
     numbers = NUMBERS.get(kind, {}) | ({"value": value} if value else {})
     if kind == "delay":

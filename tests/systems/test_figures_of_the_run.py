@@ -1,11 +1,11 @@
 """Figures are tied to their run: arguments that repeat a number of a node follow the node in every scenario.
 
-A figure is a function of a recording and of its arguments. So four nets hold the whole kind. Every argument of every
-figure function has a word here that says what it is, and no function has a number of its own beside those listed. Every
-scenario is read: no figure, requirement or monitor has a number where a node has one. In every scenario each parameter
-of each node is changed by a little: the arguments of all figures, the numbers of all requirements and the parameters of
-all monitors are then what is computed here, from the nodes' parameters alone, or the change is refused. And every
-function that takes something from the rig is measured on a recording, for every change, against a second computation.
+A figure is a function of a recording and of its arguments. So four checks cover all cases. (1) The meaning of every
+argument of every figure function is listed here, and no function has other constants than those listed. (2) In no
+scenario a figure, requirement or monitor repeats a number that a node has. (3) In every scenario each parameter of each
+node is changed a little: the arguments of all figures, the numbers of all requirements and the parameters of all
+monitors are then those computed here from the nodes' parameters, or the change is refused. (4) Every function that uses
+a value of the rig is evaluated on a recording, for every change, and compared with a second computation.
 """
 
 import inspect
@@ -136,7 +136,7 @@ def followed(value, shared):
 
 
 def own_numbers(name):
-    """Return the numbers of figures and formulas that come from a shared value that nodes also use, or from none."""
+    """Return the numbers of figures and formulas: those from a shared value that nodes also use, and from none."""
     what = raw(name)
     shared, nodes = what.get("shared") or {}, what["nodes"]
     for figure, entry in (what.get("figures") or {}).items():
@@ -466,8 +466,8 @@ def nudged(value, share):
     return (not value if isinstance(value, bool) else value + 1) if isinstance(value, int) else None
 
 
-def spoken_by(member):
-    """Return which common quantities of the rig follow which parameters of a node, found by changing each."""
+def agreed_of(member):
+    """Yield (common quantity, parameter) for each quantity that changes with a parameter of the node."""
     model, values = type(member.params), flatten(member.params)
     before = member.block_class.agreed(member.params)
     for name, value in values.items() if before else ():
@@ -485,14 +485,15 @@ def spoken_by(member):
 def changes(rig):
     """Return a change for each parameter of each node and each shared value, and which common quantity it moves.
 
-    Each by a share of its own, so that whoever follows the wrong one is seen. What nodes must agree on is one change.
+    Each value changes by a different share, so that a number that follows the wrong parameter is noticed. Values on
+    which nodes must agree change together.
     """
     values = {f"{m.name}.{k}": v for m in rig.members if m.name != "clock" for k, v in flatten(m.params).items()}
-    speakers, group = {}, {name: {name} for name in (*values, *rig.scenario.shared)}
+    parameters_of, group = {}, {name: {name} for name in (*values, *rig.scenario.shared)}
     for member in rig.members:
-        for quantity, name in spoken_by(member):
-            speakers.setdefault(quantity, set()).add(name)
-    for together in speakers.values():
+        for quantity, name in agreed_of(member):
+            parameters_of.setdefault(quantity, set()).add(name)
+    for together in parameters_of.values():
         joined = set().union(*(group[name] for name in together))
         group |= dict.fromkeys(joined, joined)
     parts = list({id(part): part for part in group.values()}.values())
@@ -504,7 +505,7 @@ def changes(rig):
         return 2.0 * values[name] if name.endswith("period") else nudged(values[name], share)
 
     moved = [{n: beside(n, 0.01 + 1e-5 * k) for n in sorted(names)} for k, names in enumerate(parts)]
-    return [{n: v for n, v in one.items() if v is not None} for one in moved], speakers
+    return [{n: v for n, v in one.items() if v is not None} for one in moved], parameters_of
 
 
 def held_against_the_nodes(scenario):
@@ -513,10 +514,10 @@ def held_against_the_nodes(scenario):
     Returns
     -------
     moved : set of (figure, argument)
-        What has been seen to follow.
+        Arguments that have changed with a parameter.
     refused : dict of str to str
         What cannot be changed alone, and why.
-    speakers : dict of str to set of str
+    parameters_of : dict of str to set of str
         Common quantities, and the parameters that move them.
     """
     rig = rig_of(scenario)
@@ -543,21 +544,21 @@ def held_against_the_nodes(scenario):
             if key in before and not same(before[key], value):
                 moved.add(key)
 
-    parts, speakers = changes(rig)
+    parts, parameters_of = changes(rig)
     judge(parts)
     used = {q for f in figures_of(rig) for q in getattr(f.function, "agreed", {}).values()}
-    for name in set().union(*(speakers.get(quantity, ()) for quantity in used)):
+    for name in set().union(*(parameters_of.get(quantity, ()) for quantity in used)):
         judge([{name: value} for part in parts for n, value in part.items() if n == name])
-    return moved, refused, speakers
+    return moved, refused, parameters_of
 
 
 def follows(scenario):
-    """Check a scenario: what its figures read from nodes must have been seen to move, unless nothing can move it."""
-    moved, refused, speakers = held_against_the_nodes(scenario)
+    """Check a scenario: what its figures read from nodes must have changed with them, unless no change is possible."""
+    moved, refused, parameters_of = held_against_the_nodes(scenario)
     shared = raw(scenario).get("shared") or {}
     for figure, entry in (raw(scenario).get("figures") or {}).items():
         agreed = getattr(find(entry.get("function") or figure), "agreed", {})
-        asked = {k: speakers[quantity] for k, quantity in agreed.items() if quantity in speakers}
+        asked = {k: parameters_of[quantity] for k, quantity in agreed.items() if quantity in parameters_of}
         for k, stated in (entry.get("arguments") or {}).items():
             value, _ = followed(stated, shared)
             if isinstance(value, str) and re.fullmatch(r"\$\w+\.[\w.]+", value):
@@ -738,7 +739,7 @@ def most(light, celsius, module):
     ],
 )
 def test_another_module_has_its_own_maximum(light, celsius, module, wanted):
-    """It was once judged against the module of the paper: 116.46 W and 209.9 %, pass; 102.9 W and 340 %."""
+    """Compared with the maxima of the module of the paper the efficiencies would be 209.9 % and 340 %."""
     changes = {f"pv_plant.module.{k}": v for k, v in module.items()}
     run = simulate("pv_mppt", overrides=changes | {"irradiance": list(light), "temperature": [celsius] * 4})
     assert most(light, celsius, module) == pytest.approx(wanted, abs=0.01)

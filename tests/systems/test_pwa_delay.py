@@ -361,7 +361,7 @@ def test_every_parameter_of_the_tank_is_compared_with_its_certificate():
     [pytest.param(*row, marks=[pytest.mark.long] * (row[0] != "tank_controller.k_high")) for row in TANKS.items()],
 )
 def test_a_level_certificate_belongs_to_the_tank_and_the_controller_of_the_rig(parameter, value):
-    """With each other value the certified delay keeps the tank from running empty, however it jumps below it."""
+    """With each changed value the tank does not run empty, however the delay jumps below the certified one."""
     rig = rig_of(load_scenario("pwa_delay_p2", {parameter: value}))
     asked = next(m.params for m in rig.members if m.name == "certificate")
     h = CertificateNode.solve(asked, None).certificate.h
@@ -769,7 +769,7 @@ def test_a_monitor_that_is_too_coarse_reports_it():
 
 
 def test_a_negative_delay_does_not_index_into_the_record():
-    """One sample below 0 is the oldest sample, a hundred are none: the record starts again."""
+    """A delay of -1 sample would index the oldest one, and -100 samples none: in both cases the record begins again."""
     monitor = ByHand(LyapunovMonitor(period=1e-4))
     size = int(np.prod(monitor.block.p.padded()))
     inputs = {"state": (1.0, 0.0), "matrices": (1.0,) * size, "verdict": (0.0192, 1.0, 1e-4, 1e-6, 20.0)}

@@ -1,7 +1,7 @@
 """Which lines of the suite a test executes, also in processes that it starts: their files have the name of the test.
 
-Python imports it at its start where this folder is on PYTHONPATH. A line is told once a process, so that loops keep
-their speed. Needs Python 3.12.
+Python imports it at its start where this folder is on PYTHONPATH. A line is recorded once in each process, so that
+loops keep their speed. Needs Python 3.12.
 """
 
 import fcntl

@@ -647,7 +647,7 @@ def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
         No samples.
     """
 
-    def found() -> tuple[float, float]:
+    def newest() -> tuple[float, float]:
         steps = []
         for name in references.split(", "):
             t, x = window(signals, name, None, None)
@@ -655,7 +655,7 @@ def newest_step(signals: SignalMap, references: str) -> tuple[float, float]:
             steps.append((float(t[k]), float(x[k])))
         return max(steps, key=itemgetter(0))
 
-    return shared(signals, ("newest_step", references), found)
+    return shared(signals, ("newest_step", references), newest)
 
 
 def step_levels(

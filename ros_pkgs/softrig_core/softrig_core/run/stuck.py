@@ -75,7 +75,7 @@ class Watch(threading.Thread):
                     ends = number, now + LAST, calls().get(self._main)
                 continue
             now += wait
-            self._look(now, wait)
+            self._check(now, wait)
             if ends[0] and self._seen.get(self._main, (None,))[0] is not ends[2]:
                 ends = 0, 0.0, None
             elif ends[2] is not None and now >= ends[1]:
@@ -84,7 +84,7 @@ class Watch(threading.Thread):
                 # An exception in this thread would not end the process, whose main thread does not return.
                 os._exit(128 + ends[0])
 
-    def _look(self, now: float, wait: float) -> None:
+    def _check(self, now: float, wait: float) -> None:
         """Report the calls that have become too long since the last look."""
         seen = self._seen
         self._seen = {
