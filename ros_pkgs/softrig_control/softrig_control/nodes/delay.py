@@ -124,8 +124,6 @@ class Line:
             return NotImplemented
         return self._messages() == other._messages()
 
-    __hash__ = None  # type: ignore[assignment]
-
     def __repr__(self) -> str:
         return f"Line({self._size}, {tuple(self._messages())})"
 

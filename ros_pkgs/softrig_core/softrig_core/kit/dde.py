@@ -163,8 +163,6 @@ class Track:
         left, right = self._copy(self._capacity), other._copy(other._capacity)
         return all(a.shape == b.shape and (a == b).all() for a, b in zip(left, right, strict=True))
 
-    __hash__ = None  # type: ignore[assignment]
-
     def _copy(self, room: int) -> Trajectory:
         """Return the valid steps at the start of arrays of the given length."""
         import numpy as np

@@ -72,8 +72,6 @@ class Stream:
     def __eq__(self, other: object) -> bool:
         return self._begin == other._begin if isinstance(other, Stream) else NotImplemented
 
-    __hash__ = None  # type: ignore[assignment]
-
 
 class Draws:
     """A stream of random numbers as a function of an index.

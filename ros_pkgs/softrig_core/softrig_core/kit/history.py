@@ -167,8 +167,6 @@ class History:
         left, right = self._line, other._line
         return (left.step, left.longest, self._newest()) == (right.step, right.longest, other._newest())
 
-    __hash__ = None  # type: ignore[assignment]
-
     def _newest(self) -> list[Row]:
         return self._line.rows[self._count - self._line.size : self._count]
 

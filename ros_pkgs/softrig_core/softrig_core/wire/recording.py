@@ -177,8 +177,6 @@ class Topic:
         left, right = (self.name, self.msgtype, self.times), (other.name, other.msgtype, other.times)
         return left == right and self.data == other.data
 
-    __hash__ = None  # type: ignore[assignment]
-
     def add_columns(self, columns: Columns | Stored) -> None:
         """Append messages as numbers."""
         self._columns.append(columns)

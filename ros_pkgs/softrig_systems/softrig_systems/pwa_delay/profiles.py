@@ -74,8 +74,6 @@ class Delay:
         a, b = self.profile, other.profile
         return a[:3] == b[:3] and a.changes.tolist() == b.changes.tolist()
 
-    __hash__ = None  # type: ignore[assignment]
-
 
 @jit
 def delay_at(p: Profile, t: float) -> float:

@@ -93,8 +93,6 @@ class Watch:
         pairs = ((getattr(self, name), getattr(other, name)) for name in ("counts", "rows", "slopes", "values"))
         return all(np.array_equal(a, b) for a, b in pairs)
 
-    __hash__ = None  # type: ignore[assignment]
-
 
 class WatchRows(NamedTuple):
     """A `Watch` in native code, which writes into its rings."""

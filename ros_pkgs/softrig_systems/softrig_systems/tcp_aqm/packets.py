@@ -106,8 +106,6 @@ class Traffic:
             return NotImplemented
         return self._all() == other._all()
 
-    __hash__ = None  # type: ignore[assignment]
-
     def _all(self) -> list[list[float]]:
         sources, agenda, fifo, counts = self.inside
         return [a.tolist() for a in (*sources, *fifo, counts, *(a[: counts[EVENTS]] for a in agenda))]

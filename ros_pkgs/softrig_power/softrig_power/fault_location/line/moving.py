@@ -68,8 +68,6 @@ class Moving:
             return NotImplemented
         return all(np.array_equal(a, b) for a, b in zip(self.state, other.state, strict=True))
 
-    __hash__ = None  # type: ignore[assignment]
-
 
 class MovingRows(NamedTuple):
     """A `Moving` in native code, which moves its arrays in place."""

@@ -69,8 +69,6 @@ class Rows:
     def __eq__(self, other: object) -> bool:
         return self.newest() == other.newest() if isinstance(other, Rows) else NotImplemented
 
-    __hash__ = None  # type: ignore[assignment]
-
 
 def _with(most: int, width: int, count: int, rows: list[Row] | None, table: NDArray[np.float64] | None = None) -> Rows:
     result = object.__new__(Rows)
