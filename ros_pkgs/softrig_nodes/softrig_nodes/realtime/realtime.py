@@ -217,6 +217,8 @@ class Realtime(Link):
         return 0 if self._answering is None else self._answering.incomplete
 
     def _go_by(self, clock: Callable[[], int]) -> None:
+        # Native ticks follow the wall clock, and would pass the time of a stop while Python's thread does not run.
+        self.before_reading()
         self.clock = clock
 
     def busy(self) -> bool:
