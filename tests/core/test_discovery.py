@@ -165,6 +165,13 @@ def test_no_start_loses_a_message(kind):
         assert start(kind, seed, stalls=seed % 3) == [], seed
 
 
+def test_an_output_that_no_node_reads_is_recorded_by_a_node_that_does_not_remap_it():
+    """`second`, the clock of what is left, maps lag/applied to a topic of its own."""
+    rig = with_guests("end", ("plant",))
+    recorders = {k.shape["topic"]: m.name for m in rig.members if not m.external for k in links(rig, m).overheard}
+    assert recorders == {"lag/state": "gain", "lag/applied": "source"}
+
+
 class SimulatedRecorder:
     """Subscribes to topics when the graph shows them, up to some seconds late; leaves one of them out."""
 

@@ -68,14 +68,16 @@ def starter(rig: Rig) -> Member:
 def _overheard(rig: Rig, member: Member) -> list[OverheardLink]:
     """Return the outputs of external nodes that a member records: those that it is the first to read.
 
-    An output without readers is recorded by the starter. A sporadic one is recorded by its reader, at the tick that
-    uses it.
+    An output without readers is recorded by the starter, or by another node if the starter's remapping would subscribe
+    it to another topic. A sporadic one is recorded by its reader, at the tick that uses it.
     """
     result = []
+    own = [m for m in (starter(rig), *rig.members) if not m.external]
     for m in rig.members:
         for p in m.outputs if m.external else ():
             readers = [(reader, port) for reader, port in rig.readers(m, p) if not reader.external]
-            recorder, port = readers[0] if readers else (starter(rig), p)
+            unmapped = next((node for node in own if p.topic not in node.remap), starter(rig))
+            recorder, port = readers[0] if readers else (unmapped, p)
             if recorder is member and not (readers and p.sporadic):
                 link = {"period": _seconds(m), "node": m.name, "at_end": m.schedule.at_end}
                 read = replace(port, topic=p.topic)
