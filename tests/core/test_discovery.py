@@ -7,15 +7,17 @@ import random
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
 from multiprocessing import get_context
+from types import SimpleNamespace
 
 import pytest
 from by_hand import Listening
 from conftest import differences, few, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
-from softrig_core import rig_of
+from softrig_core import button, rig_of
 from softrig_core.block.codec import readable_stamp
-from softrig_core.rig.options import Links
+from softrig_core.rig.options import Links, OverheardLink
+from softrig_nodes.adapter.overheard import Overheard
 from softrig_nodes.adapter.spin import conclude
 from softrig_nodes.processes.peers import links
 from softrig_nodes.processes.spawning import node_parameters
@@ -169,7 +171,22 @@ def test_an_output_that_no_node_reads_is_recorded_by_a_node_that_does_not_remap_
     """`second`, the clock of what is left, maps lag/applied to a topic of its own."""
     rig = with_guests("end", ("plant",))
     recorders = {k.shape["topic"]: m.name for m in rig.members if not m.external for k in links(rig, m).overheard}
-    assert recorders == {"lag/state": "gain", "lag/applied": "source"}
+    assert recorders == {"lag/state": "gain", "lag/applied": "gain"}
+
+
+def test_a_boolean_of_an_external_node_is_recorded_as_one_of_the_rig():
+    """DDS fills its five bytes up to eight."""
+    messages, nothing = [], SimpleNamespace(restart_timeout=lambda: None)
+    node = SimpleNamespace(
+        peer=lambda link: None, state="running", epoch=0, t=0, ticks=0, schedule=SimpleNamespace(end=None),
+        options=SimpleNamespace(mode="lockstep"),
+        record=SimpleNamespace(sink=SimpleNamespace(add=lambda number, t, data: messages.append(data))),
+    )  # fmt: skip
+    link = OverheardLink.of(button("press", "x"), sporadic=True, delayed=False, period="1", node="x", at_end=False)
+    row = Overheard(nothing, node, link, 0, False)
+    for pressed in (b"\1", b"\0"):
+        row.receive(b"\0\1\0\0" + pressed + b"\0\0\0")
+    assert messages == [b"\0\1\0\0\1", b"\0\1\0\0\0"]
 
 
 class SimulatedRecorder:

@@ -24,6 +24,7 @@ from ..seam.middleware import Reader
 if TYPE_CHECKING:
     from .adapter import Adapter
 
+FILLED = 4  # bytes: DDS sends a multiple of them
 PATIENCE = 1.0  # s without a publisher at the start, or without a message at the end
 
 
@@ -49,6 +50,7 @@ class Overheard(Input):
         super().__init__(link.made())
         self._node, self._number, self._sporadic = node, number, link.sporadic
         self._schedule = node.peer(link)
+        self._length = self.port.layout().length
         self._stamped = self.port.stamped and not link.delayed
         self.read_here = read
         self._live = node.options.mode == "realtime"
@@ -84,10 +86,12 @@ class Overheard(Input):
         if node.record.sink is None or (data == self._last and (known or (self._count == 1 and not node.ticks))):
             return
         self._last = bytes(data)
+        # DDS fills up the message of a boolean, which would then differ from that of the same node in the rig.
+        stored = self._last[: self._length] if 0 < len(data) - self._length < FILLED else self._last
         self._newest = max(self._newest, self._time(mark))
         self._count += 1
         if not self.used:
-            node.record.sink.add(self._number, node.epoch + self._newest, self._last)
+            node.record.sink.add(self._number, node.epoch + self._newest, stored)
 
     def _time(self, mark: int) -> int:
         """Return the time to which a message belongs, ns from t = 0."""

@@ -68,16 +68,19 @@ def starter(rig: Rig) -> Member:
 def _overheard(rig: Rig, member: Member) -> list[OverheardLink]:
     """Return the outputs of external nodes that a member records: those that it is the first to read.
 
-    An output without readers is recorded by the starter, or by another node if the starter's remapping would subscribe
-    it to another topic. A sporadic one is recorded by its reader, at the tick that uses it.
+    A sporadic output is recorded by its reader, at the tick that uses it. One without readers is recorded by a node
+    that the external node reads, so that the recorder does not leave while that node still publishes; without such a
+    node by the starter. A node whose remapping would subscribe it to another topic in its place is passed over.
     """
     result = []
-    own = [m for m in (starter(rig), *rig.members) if not m.external]
     for m in rig.members:
+        # Nodes that are themselves paced by others do not run far ahead of the external node.
+        sources = sorted((k.source for k in m.links.values()), key=lambda source: not source.links)
+        nodes = [node for node in (*sources, starter(rig), *rig.members) if not node.external]
         for p in m.outputs if m.external else ():
             readers = [(reader, port) for reader, port in rig.readers(m, p) if not reader.external]
-            unmapped = next((node for node in own if p.topic not in node.remap), starter(rig))
-            recorder, port = readers[0] if readers else (unmapped, p)
+            others = [(node, p) for node in nodes if p.topic not in node.remap]
+            recorder, port = [*readers, *others, (starter(rig), p)][0]
             if recorder is member and not (readers and p.sporadic):
                 link = {"period": _seconds(m), "node": m.name, "at_end": m.schedule.at_end}
                 read = replace(port, topic=p.topic)
