@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -142,11 +143,20 @@ def profiles(offered: Any) -> tuple[Qos, ...]:
     Before version 9 policies are numbers. A missing or unknown policy gets the default that rclcpp offers. A text that
     is not a list of profiles yields no profiles.
     """
+    return _profiles_in(offered) if isinstance(offered, str) else _profiles(offered)
+
+
+# Most topics of a bag have the same text.
+@lru_cache(maxsize=64)
+def _profiles_in(text: str) -> tuple[Qos, ...]:
     try:
-        result = loaded(offered) if isinstance(offered, str) else offered
-        return tuple(_profile(item) for item in result or [] if isinstance(item, dict))
+        return _profiles(loaded(text))
     except (yaml.YAMLError, ScenarioError):
         return ()
+
+
+def _profiles(items: Any) -> tuple[Qos, ...]:
+    return tuple(_profile(item) for item in items or [] if isinstance(item, dict))
 
 
 def _profile(item: Mapping[str, Any]) -> Qos:
