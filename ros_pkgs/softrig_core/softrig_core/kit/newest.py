@@ -57,7 +57,9 @@ def once_for_objects(function: Callable[S, A]) -> Callable[S, A]:
     kept: Kept[A] = {}
 
     def known(*arguments: S.args, **keywords: S.kwargs) -> A:
-        return of_these(kept, arguments, lambda: function(*arguments, **keywords))
+        # A run of a study asks here some dozens of times, so a known result takes as few steps as possible.
+        stored = kept.get(tuple(map(id, arguments)))
+        return of_these(kept, arguments, lambda: function(*arguments, **keywords)) if stored is None else stored[1]
 
     return known
 

@@ -80,7 +80,7 @@ class Figure:
         # softrig's own functions use only operations that long arrays have; those of other packages may use any of
         # numpy.
         is_own = is_ours(self.function.__module__)
-        value = float(self.function(signals if is_own else _InMemory(signals), **self.at(signals).arguments))
+        value = float(self.function(signals if is_own else _InMemory(signals), **self._arguments_at(signals)))
         low, high = getattr(self.function, "possible", (-math.inf, math.inf))
         if value < low - ROUNDING * max(1.0, abs(low)) or value > high + ROUNDING * max(1.0, abs(high)):
             raise ImpossibleError(f"{value:.6g} is impossible, expected {low:g} to {high:g}")
@@ -94,15 +94,19 @@ class Figure:
         ValueError
             There was no step yet, or there is nothing to measure at it.
         """
-        args = dict(self.arguments)
-        steps = any(isinstance(args.get(name), str) for name in STEP)
+        arguments = self._arguments_at(signals)
+        return self if arguments is self.arguments else replace(self, arguments=arguments, since="")
+
+    def _arguments_at(self, signals: SignalMap) -> Mapping[str, Any]:
+        steps = any(isinstance(self.arguments.get(name), str) for name in STEP)
         if not (steps or self.since):
-            return self
+            return self.arguments
+        args = dict(self.arguments)
         if steps:
             final, initial = step_levels(signals, args.get("final"), args.get("initial", 0.0), args.get("start"))
             args |= {"final": final, "initial": initial}
         if not self.since:
-            return replace(self, arguments=args)
+            return args
         t, value = newest_step(signals, self.since)
         values: dict[str, Any] = {"start": t + (args.get("start") or 0.0)}
         if args.get("end") is not None:
@@ -112,7 +116,7 @@ class Figure:
             values["reference"] = newest_step(signals, args["reference"])[1]
         if "final" in _model(self.function)[0].model_fields and args.get("final") is None:
             values |= {"final": value, "initial": final_value(signals, args["signal"], end=t)}
-        return replace(self, arguments=args | values, since="")
+        return args | values
 
 
 class _InMemory(Mapping[str, Signal]):
