@@ -195,6 +195,32 @@ def test_two_types_on_one_topic_are_both_read(tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["x (a.msg.Int).csv", "x.csv"]
 
 
+@pytest.mark.parametrize("claim", [0, 1, 13, 1 << 60])
+def test_wrong_counts_of_the_statistics_lose_and_invent_no_row(tmp_path, claim):
+    content = bytearray(written(dict.fromkeys(PARTS, True), IndexType.ALL, (True, 400), CompressionType.NONE))
+    at = content.rindex(struct.pack("<HQHQ", 1, 12, 2, 5))
+    content[at : at + 10] = struct.pack("<HQ", 1, claim)
+    (tmp_path / "x.mcap").write_bytes(content)
+    whole = written(dict.fromkeys(PARTS, True), IndexType.ALL, (True, 400), CompressionType.NONE)
+    (tmp_path / "y.mcap").write_bytes(whole)
+    wrong, right = (signals(tmp_path / name) for name in ("x.mcap", "y.mcap"))
+    assert [*wrong] == [*right]
+    for name in right:
+        assert wrong[name].t.tolist() == right[name].t.tolist()
+        assert wrong[name].x.tolist() == right[name].x.tolist()
+
+
+def test_a_wrong_index_of_one_chunk_changes_no_message(tmp_path):
+    content = bytearray(written(dict.fromkeys(PARTS, True), IndexType.ALL, (True, 90), CompressionType.NONE))
+    (tmp_path / "x.mcap").write_bytes(content)
+    at = [k for k in range(len(content) - 9) if content[k] == 7 and content[k + 1 : k + 9] == struct.pack("<Q", 22)]
+    assert len(at) > 3  # indexes with one entry: channel, length, time, offset
+    content[at[1] + 23 : at[1] + 31] = struct.pack("<Q", 3)
+    (tmp_path / "y.mcap").write_bytes(content)
+    with BagReader(tmp_path / "x.mcap") as right, BagReader(tmp_path / "y.mcap") as wrong:
+        assert [*wrong.messages()] == [*right.messages()]
+
+
 def test_a_chunk_whose_messages_begin_before_its_stated_start_is_damaged(tmp_path):
     content = bytearray(written({}, IndexType.NONE, (True, 1 << 20), CompressionType.NONE))
     at = content.index(struct.pack("<QQ", 0, 104)) if struct.pack("<QQ", 0, 104) in content else 0

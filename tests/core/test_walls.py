@@ -15,8 +15,8 @@ MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_i
 # layout, so bytes and types of messages are below the blocks.
 ROOMS = {
     "softrig_core": (
-        "errors arrays bits timebase data entry guard interrupt needs extras renamed command_line runners kit wire "
-        "judge block motion former board native solver scenario rig verdict run drawing analysis export firmware"
+        "errors arrays arrow bits timebase data entry guard interrupt needs extras renamed command_line runners kit "
+        "wire judge block motion former board native solver scenario rig verdict run drawing analysis export firmware"
     ),
     "softrig_nodes": "below processes seam ros adapter lockstep realtime face group rehearsal main container preloaded",
     "softrig_bags": (

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import SECOND, Recording, Signals
+from softrig_core import SECOND, Array, Recording, Signals
 from softrig_core.guard import incomplete, print_line
 from softrig_core.wire.signals import Table
 
@@ -81,7 +82,7 @@ class BagSignals(Signals):
     """
 
     def __init__(
-        self, path: Path, bag: BagReader, columns: Columns, tables: Mapping[int, Growing], namespace: str = ""
+        self, path: Path, bag: BagReader, columns: Columns, tables: dict[int, Growing], namespace: str = ""
     ) -> None:
         self.path, self.namespace = path, namespace
         epoch, self.from_start = epoch_of(bag)
@@ -93,8 +94,11 @@ class BagSignals(Signals):
         for i in bag.chosen:
             label = bag.labels[i]
             if columns.decoder(i) is not None and not columns.reason(i):
-                t, stamp, result, self.absent[label] = tables.get(i, Growing()).whole()
-                self._tables[label] = Table((t - epoch) / SECOND, (stamp - epoch) / SECOND, result)
+                # The times in ns are dropped topic by topic, so that they do not wait for those in s of all topics.
+                table = tables.pop(i, Growing()).whole()
+                t, stamp = ((ticks - epoch) / SECOND for ticks in (table.t, table.stamp))
+                self._tables[label] = Table(t, stamp, cast("dict[str, Array]", table.columns))
+                self.absent[label] = table.absent
         self.left_out = {bag.labels[i]: left for i, left in columns.left.items()}
         self.undecodable = [x for i in bag.chosen if bag.counts[i] and (x := bag.labels[i]) not in self._tables]
 
@@ -162,7 +166,9 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
         columns, tables = Columns(bag), dict[int, Growing]()
         for block in bag.blocks():
             for topic, piece in columns.pieces(block):
-                tables.setdefault(topic, Growing()).add(piece)
+                if topic not in tables:
+                    tables[topic] = Growing(bag.claimed(topic))
+                tables[topic].add(piece)
         columns.finish()
         report_left_out(path, columns)
         return BagSignals(Path(path), bag, columns, tables, namespace)

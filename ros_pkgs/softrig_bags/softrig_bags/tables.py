@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -9,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import Array
 from softrig_core.wire.types import TYPES
 
 from .content.block import Block, Bytes, Ints, distinct
@@ -24,7 +24,7 @@ class Piece(NamedTuple):
     """Some messages of a topic: bag times and header stamps in ns (bag times if it has none), and columns.
 
     A value that a message lacks is NaN in a column, or 0 in a column of whole numbers. For such integer columns
-    `absent` marks the messages that lack the value.
+    `absent` marks the messages that lack the value. The columns may be views of the block from which they were read.
     """
 
     t: Ints
@@ -138,7 +138,9 @@ class Columns:
             result = texts.setdefault(re.sub(r"/\d+(?=/|$)", "/*", leaf.path), set())
             if len(result) < 2:
                 cells = rows[:, leaf.at : leaf.at + int(leaf.kind[1:]) * leaf.n]
-                first = int((cells != cells[0]).any(axis=1).argmax())
+                other = cells != cells[0]
+                # A text rarely changes. A reduction of a whole block is much faster than one of each row.
+                first = int(other.any(axis=1).argmax()) if other.any() else 0
                 result.update(layout.texts(rows[[0, first]], leaf))
 
     def untold(self) -> Iterator[str]:
@@ -177,7 +179,7 @@ class Columns:
 def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray[np.uint8]]]) -> Piece:
     """Merge messages of several shapes into one table; values that a message lacks are NaN."""
     stamp = block.t.copy()
-    columns: dict[str, Column] = {}
+    columns: dict[str, Any] = {}
     absent: dict[str, NDArray[np.bool_]] = {}
     decoded = np.zeros(len(block), bool)
     for rows, layout, data in groups:
@@ -186,7 +188,7 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
             stamp[rows] = layout.stamps(data)
         for label, x in layout.columns(data).items():
             if label not in columns:
-                columns[label] = lacking(len(block), x.dtype)
+                columns[label] = np.full(len(block), _missing(x.dtype), x.dtype)
                 absent[label] = np.ones(len(block), bool)
             columns[label][rows] = x
             absent[label][rows] = False
@@ -196,61 +198,76 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
     return Piece(block.t[decoded], stamp[decoded], columns, absent)
 
 
-def lacking(n: int, kind: np.dtype[Any]) -> Column:
-    """Return a column for which no message has a value: NaN, or 0 if the type has no NaN."""
-    return np.full(n, np.nan) if kind.kind == "f" else np.zeros(n, kind)
-
-
-def stacked(pieces: list[Piece]) -> Piece:
-    """Return the rows of several tables one after the other; columns that one of them lacks are NaN or 0 there."""
-    if len(pieces) == 1:
-        return pieces[0]
-    dtypes = {label: x.dtype for piece in pieces for label, x in piece.columns.items()}
-    columns, absent = {}, {}
-    for label, kind in dtypes.items():
-        columns_of = (p.columns[label] if label in p.columns else lacking(len(p.t), kind) for p in pieces)
-        columns[label] = np.concatenate([*columns_of])
-        if any(label in p.absent or label not in p.columns for p in pieces):
-            lacks = (p.absent.get(label, np.full(len(p.t), label not in p.columns)) for p in pieces)
-            absent[label] = np.concatenate([*lacks])
-    empty = np.empty(0, np.int64)
-    t, stamp = (np.concatenate([empty, *(getattr(p, name) for p in pieces)]) for name in ("t", "stamp"))
-    return Piece(t, stamp, columns, absent)
-
-
 class Growing:
-    """The table of a topic while it is read: float columns that grow in place, so that no row is stored twice."""
+    """The table of a topic while it is read: the rows of its pieces one after the other.
 
-    def __init__(self) -> None:
-        self._rows = 0
-        self._columns: dict[str, Array] = {}
-        self._absent: dict[str, NDArray[np.bool_]] = {}
-        self._times: dict[str, Ints] = {"t": np.empty(0, np.int64), "stamp": np.empty(0, np.int64)}
+    Parameters
+    ----------
+    rows : int
+        For so many rows there is memory from the start; more rows get more, for which the columns are copied.
+    exact : bool
+        Whether columns of whole numbers keep their type; otherwise all are of floats.
+    """
+
+    def __init__(self, rows: int = 0, *, exact: bool = False) -> None:
+        self._capacity, self._exact = rows, exact
+        self._times: dict[str, NDArray[Any]] = {}
+        self._columns: dict[str, NDArray[Any]] = {}
+        self._absent: dict[str, NDArray[Any]] = {}
+        self.rows = 0
 
     def add(self, piece: Piece) -> None:
         """Append the rows of a piece."""
-        first, last = self._rows, self._rows + len(piece.t)
-        self._rows = last
-        for label in [x for x in piece.columns if x not in self._columns]:
-            self._columns[label] = np.full(first, np.nan)
-            if first:
-                self._absent[label] = np.ones(first, bool)
-        lacking = self._columns.keys() - piece.columns.keys() if len(self._columns) > len(piece.columns) else ()
-        for label in (*lacking, *piece.absent):
-            self._absent.setdefault(label, np.zeros(first, bool))
-        for arrays, result, fill in (
-            (self._times, piece._asdict(), 0),
-            (self._columns, piece.columns, np.nan),
-            (self._absent, piece.absent, None),
-        ):
-            for name, array in arrays.items():
-                if len(array) < last:
-                    array.resize(max(last, len(array) * 3 // 2), refcheck=False)
-                array[first:last] = result.get(name, (name in lacking) if fill is None else fill)
+        first, last = self.rows, self.rows + len(piece.t)
+        if last > self._capacity:
+            self._capacity = max(last, self._capacity * 3 // 2)
+            for arrays in (self._times, self._columns, self._absent):
+                for name, old in arrays.items():
+                    arrays[name] = np.empty(self._capacity, old.dtype)
+                    arrays[name][:first] = old[:first]
+        if not self._times:
+            self._times = {name: np.empty(self._capacity, np.int64) for name in ("t", "stamp")}
+        self._add_columns(piece, first)
+        self.rows = last
+        for name in ("t", "stamp"):
+            self._times[name][first:last] = getattr(piece, name)
+        for label, column in self._columns.items():
+            values = piece.columns.get(label)
+            column[first:last] = _missing(column.dtype) if values is None else values
+            if (values is None or label in piece.absent) and label not in self._absent:
+                self._absent[label] = np.zeros(self._capacity, bool)
+            if label in self._absent:
+                self._absent[label][first:last] = values is None or piece.absent.get(label, False)
 
-    def whole(self) -> tuple[Ints, Ints, dict[str, Array], dict[str, NDArray[np.bool_]]]:
-        """Return the times, stamps, columns and absences of all rows, as a piece has them."""
-        for arrays in (self._times, self._columns, self._absent):
-            for array in arrays.values():
-                array.resize(self._rows, refcheck=False)
-        return self._times["t"], self._times["stamp"], self._columns, self._absent
+    def _add_columns(self, piece: Piece, first: int) -> None:
+        """Create the columns that are new."""
+        new = {label: x.dtype for label, x in piece.columns.items() if label not in self._columns}
+        kinds = {label: kind if self._exact and kind.kind in "iu" else np.dtype(float) for label, kind in new.items()}
+        if all(kind.kind == "f" for kind in kinds.values()):
+            # One array for all of them gets large memory pages, which the system makes ready much faster.
+            self._columns |= dict(zip(kinds, np.empty((len(kinds), self._capacity)), strict=True))
+        else:
+            self._columns |= {label: np.empty(self._capacity, kind) for label, kind in kinds.items()}
+        for label, kind in kinds.items() if first else ():
+            self._columns[label][:first] = _missing(kind)
+            self._absent[label] = np.ones(self._capacity, bool)
+
+    def whole(self) -> Piece:
+        """Return all rows; the arrays are those of this table."""
+        times, columns, absent = (
+            {name: array[: self.rows] for name, array in arrays.items()}
+            for arrays in (self._times or {"t": _NONE, "stamp": _NONE}, self._columns, self._absent)
+        )
+        return Piece(times["t"], times["stamp"], columns, absent)
+
+    def clear(self) -> None:
+        """Remove all rows and keep the memory for others: what `whole` returned before is no longer valid."""
+        self.rows, self._absent = 0, {}
+
+
+_NONE = np.empty(0, np.int64)
+
+
+def _missing(kind: np.dtype[Any]) -> float:
+    """Return what a column has where no message has a value: NaN, or 0 if the type has no NaN."""
+    return math.nan if kind.kind == "f" else 0

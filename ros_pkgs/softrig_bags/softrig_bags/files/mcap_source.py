@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -33,11 +34,14 @@ from .source import Damaged, Source, SourceTopic
 
 # Bytes that are read at a time where messages are outside of chunks, which may be most of a large file.
 WINDOW = 1 << 23
+# Bytes of messages that are loaded together. numpy needs many messages at a time to pay off, and a chunk has few.
+GROUP = 1 << 22
 # MCAP has unsigned times of 64 bits, but they are signed in every ROS API (ns).
 LATEST = 2**63 - 1
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, letters of the compression
 _MESSAGE_HEAD = 31  # bytes of a message record before its data
+_NONE = np.empty(0, np.int64)
 _NOTED = (SCHEMA, CHANNEL, STATISTICS, METADATA, ATTACHMENT)
 # An attachment may have gigabytes, but only its name and size are reported.
 _LONGEST = 1 << 16  # bytes of an attachment's head that are read
@@ -46,13 +50,19 @@ _PROBE = 64
 
 
 class Part(NamedTuple):
-    """A chunk, or messages outside of chunks: where it begins and ends, and which times it claims."""
+    """A chunk, or messages outside of chunks: where it begins and ends, and which times and size it claims."""
 
     start: int
     end: int
     first: int
     last: int
-    hint: tuple[int, int] | None  # of a chunk: where its message indexes begin and end
+    size: int  # bytes of its content, uncompressed
+    hint: tuple[int, int] | None = None  # of a chunk: where its message indexes begin and end
+
+    @property
+    def after(self) -> int:
+        """Where the next record begins that does not belong to it."""
+        return self.hint[1] if self.hint else self.end
 
 
 @dataclass
@@ -74,8 +84,8 @@ class McapSource(Source):
             self._walk(os.fstat(self._file.fileno()).st_size)
             # Channels need not be repeated outside of the chunks that use them, so the chunks are read for them.
             if self._channels_stated is None or len(self.topics) < self._channels_stated:
-                for part in self._parts:
-                    self._load(part)
+                for group in _groups(self._parts):
+                    self._load(group)
         except BaseException:
             self.close()
             raise
@@ -98,7 +108,9 @@ class McapSource(Source):
         return max((p.last for p in self._parts), default=0)
 
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
-        """Yield blocks, each with its place in the file and the time before which no further message follows.
+        """Yield blocks, each with its place in the file and the time before which nothing follows that precedes it.
+
+        A message of an equal time precedes another one if it was written before.
 
         Parameters
         ----------
@@ -106,11 +118,11 @@ class McapSource(Source):
             Blocks that end earlier may be left out.
         """
         parts = sorted((p for p in self._parts if p.last >= start or not start), key=lambda p: (p.first, p.start))
-        for k, part in enumerate(parts):
-            block = self._load(part)
-            if len(block) and (earliest := int(np.min(block.t))) < part.first:
-                raise Damaged(f"a chunk has a message at {earliest} ns, but claims to begin at {part.first} ns")
-            yield part.start, block, parts[k + 1].first if k + 1 < len(parts) else LATEST
+        groups = [*_groups(parts)]
+        for group, following in zip_longest(groups, groups[1:]):
+            # What was written later may have the same time.
+            bound = following[0].first + (following[0].start > group[-1].start) if following else LATEST
+            yield group[0].start, self._load(group), bound
 
     def _walk(self, end: int) -> None:
         """Note all records outside of chunks."""
@@ -132,7 +144,7 @@ class McapSource(Source):
                 first, last, size, _, _ = _CHUNK.unpack_from(head, _HEAD.size)
                 # A last time of 0 or before the first is no claim, because some writers leave the field unset.
                 if size:
-                    self._parts.append(Part(offset, after, first, last if last and last >= first else LATEST, None))
+                    self._parts.append(Part(offset, after, first, last if last and last >= first else LATEST, size))
             elif code == MESSAGE_INDEX and self._parts:
                 part = self._parts[-1]
                 self._parts[-1] = part._replace(hint=(part.hint[0] if part.hint else offset, after))
@@ -151,7 +163,7 @@ class McapSource(Source):
         view = np.frombuffer(content, np.uint8)
         starts, after = message_run(content, view, 0, len(content))
         t = _heads(view, starts)[2]
-        self._parts.append(Part(offset, offset + after, int(np.min(t)), int(np.max(t)), None))
+        self._parts.append(Part(offset, offset + after, int(np.min(t)), int(np.max(t)), after))
         return offset + after
 
     def _note(self, code: int, content: bytes) -> None:
@@ -182,78 +194,114 @@ class McapSource(Source):
         offered, digest = details.get("offered_qos_profiles", ""), details.get("topic_type_hash", "")
         self.topics[number] = SourceTopic(name, msgtype, definition, language, digest, offered, encoding)
 
-    def _load(self, part: Part) -> Block:
-        """Read the messages of a part, in the order in which they were written."""
-        record = self._read(part.start, part.end - part.start)
-        if record[0] != CHUNK:
-            view = np.frombuffer(record, np.uint8)
-            return _block(view, message_run(record, view, 0, len(record))[0])
-        content = _content(record)
+    def _load(self, parts: Sequence[Part]) -> Block:
+        """Read the messages of parts that follow each other in the file, in the order in which they were written."""
+        begin, stop = parts[0].start, parts[-1].after
+        read = memoryview(self._read(begin, stop - begin))
+        if len(read) < stop - begin:
+            raise Damaged("the file became shorter while it was read")
+        contents = [_content(read[part.start - begin : part.end - begin]) for part in parts]
+        indexes = [read[p.hint[0] - begin : p.hint[1] - begin] if p.hint else read[:0] for p in parts]
+        content = contents[0] if len(contents) == 1 else memoryview(b"".join(contents))
         view = np.frombuffer(content, np.uint8)
+        edges = np.cumsum([0, *map(len, contents)])
         # The index is only a hint: chunks that it does not name are read record by record in the gaps.
-        starts, gaps = self._indexed(part, view) if part.hint else (np.empty(0, np.int64), [(0, len(content))])
+        starts, gaps = _indexed(indexes, view, edges)
         results = [starts]
-        for offset, stop in gaps:
-            while offset < stop:
+        for offset, end in gaps:
+            while offset < end:
                 if content[offset] == MESSAGE:
-                    more, after = message_run(content, view, offset, stop)
+                    more, after = message_run(content, view, offset, end)
                     results.append(more)
                 else:
-                    code, length = _HEAD.unpack_from(_least(content, offset, stop, _HEAD.size))
+                    code, length = _HEAD.unpack_from(_least(content, offset, end, _HEAD.size))
                     after = offset + _HEAD.size + length
-                    if after <= stop:
+                    if after <= end:
                         self._note(code, bytes(content[offset + _HEAD.size : after]))
-                if not offset < after <= stop:
+                if not offset < after <= end:
                     raise Damaged("a record in a chunk is cut off")
                 offset = after
-        return _block(view, np.sort(np.concatenate(results)) if len(results) > 1 else starts)
+        block = _block(view, np.sort(np.concatenate(results)) if len(results) > 1 else starts)
+        places = np.searchsorted(block.at, edges)
+        for part, first, last in zip(parts, places, places[1:], strict=False):
+            if (earliest := int(np.min(block.t[first:last], initial=LATEST))) < part.first:
+                raise Damaged(f"a chunk has a message at {earliest} ns, but claims to begin at {part.first} ns")
+        return block
 
-    def _indexed(self, part: Part, view: Bytes) -> tuple[Ints, list[tuple[int, int]]]:
-        """Return where the messages begin that the index of a chunk names, and the gaps between them.
 
-        Messages that the index leaves out are in a gap. An error in the index makes the whole chunk a gap.
-        """
-        assert part.hint is not None
-        begin, stop = part.hint
-        index, offset, offsets = self._read(begin, stop - begin), 0, []
-        while offset < len(index):
-            code, length = _HEAD.unpack_from(index, offset)
-            count = int.from_bytes(index[offset + 11 : offset + 15], "little") // 16
-            if code == MESSAGE_INDEX and 16 * count + 6 <= length:
-                pairs = np.frombuffer(index, "<u8", 2 * count, offset + 15)
-                offsets.append(pairs[1::2].astype(np.int64))
-            offset += _HEAD.size + length
-        unindexed = np.empty(0, np.int64), [(0, len(view))]
-        starts = np.sort(np.concatenate(offsets)) if offsets else unindexed[0]
-        if (
-            not len(starts)
-            or starts[0] < 0
-            or starts[-1] + _MESSAGE_HEAD > len(view)
-            or (view[starts] != MESSAGE).any()
-        ):
-            return unindexed
+def _groups(parts: Iterable[Part]) -> Iterator[list[Part]]:
+    """Put parts together that follow each other in the file and have few bytes."""
+    group: list[Part] = []
+    size = 0
+    for part in parts:
+        size += part.size
+        if group and (size > GROUP or part.start != group[-1].after):
+            yield group
+            group, size = [], part.size
+        group.append(part)
+    if group:
+        yield group
+
+
+def _indexed(indexes: Sequence[memoryview], view: Bytes, edges: Ints) -> tuple[Ints, list[tuple[int, int]]]:
+    """Return where the messages begin that the indexes of chunks name, and the gaps between them.
+
+    Messages that an index leaves out are in a gap. An error in an index makes its whole chunk a gap.
+
+    Parameters
+    ----------
+    indexes : sequence of memoryview
+        Of each chunk: the bytes of its message indexes.
+    view : array of uint8
+        The contents of the chunks.
+    edges : array of int64, shape (chunks + 1,)
+        Where they begin, and the end of the last one.
+    """
+    records = [(k, offsets) for k, index in enumerate(indexes) for offsets in _offsets(index)]
+    chunk = np.repeat([k for k, _ in records], [len(offsets) for _, offsets in records]).astype(np.int64)
+    offsets = np.concatenate([_NONE, *(offsets for _, offsets in records)])
+    starts, counts = offsets + edges[chunk], np.bincount(chunk, minlength=len(indexes))
+    right = counts.all() and not ((offsets < 0) | (offsets > edges[chunk + 1] - edges[chunk] - _MESSAGE_HEAD)).any()
+    if right and not (view[starts] != MESSAGE).any():
+        starts.sort()
         lengths = _lengths(view, starts)
-        if (lengths < _MESSAGE_HEAD - _HEAD.size).any() or (lengths > len(view)).any():
-            return unindexed
-        ends = starts + _HEAD.size + lengths
-        after, before = np.append(starts[1:], len(view)), np.append(0, ends)
-        if (ends > after).any():
-            return unindexed
-        edges = np.append(starts, len(view))
-        gaps = np.flatnonzero(before != edges)
-        return starts, [(int(before[k]), int(edges[k])) for k in gaps]
+        if not ((lengths < _MESSAGE_HEAD - _HEAD.size) | (lengths > len(view))).any():
+            # A chunk has a gap wherever a message does not begin at the end of the one before.
+            places = np.cumsum(counts)
+            before = np.insert(starts + _HEAD.size + lengths, places - counts, edges[:-1])
+            after = np.insert(starts, places, edges[1:])
+            if not (before > after).any():
+                gaps = np.flatnonzero(before != after)
+                return starts, [(int(before[k]), int(after[k])) for k in gaps]
+    if len(indexes) == 1:
+        return _NONE, [(int(edges[0]), int(edges[1]))]
+    single = [_indexed(indexes[k : k + 1], view, edges[k : k + 2]) for k in range(len(indexes))]
+    return np.concatenate([starts for starts, _ in single]), [gap for _, gaps in single for gap in gaps]
 
 
-def _content(record: bytes) -> bytes | memoryview:
-    """Return the content of a chunk, decompressed and checked."""
+def _offsets(index: memoryview) -> Iterator[Ints]:
+    """Yield where the messages of each topic begin in a chunk, as the indexes after it name them."""
+    offset = 0
+    while offset < len(index):
+        code, length = _HEAD.unpack_from(index, offset)
+        count = int.from_bytes(index[offset + 11 : offset + 15], "little") // 16
+        if code == MESSAGE_INDEX and 16 * count + 6 <= length:
+            yield np.frombuffer(index, "<i8", 2 * count, offset + 15)[1::2]
+        offset += _HEAD.size + length
+
+
+def _content(record: memoryview) -> bytes | memoryview:
+    """Return the content of a chunk, decompressed and checked; messages outside of chunks as they are."""
+    if record[0] != CHUNK:
+        return record
     _, _, size, checksum, letters = _CHUNK.unpack_from(record, _HEAD.size)
     offset = _HEAD.size + _CHUNK.size
-    compression = record[offset : offset + min(letters, 16)].decode(errors="replace")
+    compression = bytes(record[offset : offset + min(letters, 16)]).decode(errors="replace")
     stored = int.from_bytes(_least(record, offset + letters, len(record), 8), "little")
     offset += letters + 8
     if offset + stored > len(record):
         raise Damaged("a chunk is shorter than its header states")
-    content = decompressed(memoryview(record)[offset : offset + stored], compression, size)
+    content = decompressed(record[offset : offset + stored], compression, size)
     if checksum and zlib.crc32(content) != checksum:
         raise Damaged("Chunk checksum mismatch")
     return content

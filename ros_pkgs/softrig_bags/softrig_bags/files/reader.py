@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from softrig_core.errors import nearby
@@ -29,10 +29,13 @@ from .mcap_format import MAGIC
 from .mcap_source import McapSource
 from .metadata import Metadata, embedded, profiles, read_metadata
 from .source import Damaged, SourceTopic
-from .sqlite_source import SqliteSource
 
-# Bytes of a block, about: blocks bound the memory, and numpy needs many messages at a time to pay off.
-BATCH = 1 << 22
+if TYPE_CHECKING:
+    from .sqlite_source import SqliteSource
+
+# Bytes of a block at least: blocks bound the memory, and numpy needs many messages at a time to pay off. It is less
+# than an MCAP file loads together, so that what was loaded is passed on without a copy.
+BATCH = 1 << 21
 _SQLITE = b"SQLite format 3\0"
 # These files are often mistaken for bags; the message then names what the file is and what to do.
 _OTHERS = {
@@ -196,6 +199,8 @@ class BagReader:
         if head[:8] == MAGIC:
             return McapSource(file)
         if head == _SQLITE:
+            from .sqlite_source import SqliteSource
+
             return SqliteSource(file)
         known = next((name for begin, name in _OTHERS.items() if head.startswith(begin)), "")
         if known:
@@ -264,10 +269,19 @@ class BagReader:
 
     @property
     def counts(self) -> list[int]:
-        """Number of messages of each topic: all of them are read once to count them."""
+        """Number of messages of each topic: all of them are read once to count them, in the order of the files."""
         if self._counts is None:
-            for _ in self.blocks():
-                pass
+            counted: list[Counter[int]] = [Counter() for _ in self._sources]
+            last = 0
+            for i, source in enumerate(self._sources):
+                try:
+                    for _, block, _ in source.blocks():
+                        last = max(last, int(np.max(block.t, initial=0)))
+                        plain_messages(self._inside(self._noted(counted, i, block)))
+                except Damaged as error:
+                    raise self._damaged(error, self.files[i]) from error
+            self._end = last
+            self._account(counted)
         assert self._counts is not None
         return self._counts
 
@@ -275,6 +289,14 @@ class BagReader:
     def count(self) -> int:
         """Number of messages."""
         return sum(self.counts)
+
+    def claimed(self, i: int) -> int:
+        """Return how many messages a topic has as the files claim, at most one for each of their bytes."""
+        result = 0
+        for source, numbers in zip(self._sources, self._numbers, strict=True):
+            claim = sum(source.stated.get(number, 0) for number, topic in numbers.items() if topic == i)
+            result += min(claim, source.path.stat().st_size)
+        return result
 
     @property
     def is_empty(self) -> bool:
@@ -343,33 +365,35 @@ class BagReader:
         # No earlier message follows in a file than its bound, so that messages before all bounds are in their final
         # order.
         bounds = {i: source.first for i, source in enumerate(self._sources)}
+        # A file's messages of its own bound precede those that follow in it, but not those of another file.
+        several = len(bounds) > 1
         waiting: list[_Waiting] = []
         size = 0
         while streams:
             # The file that is furthest behind is read next, which keeps few messages waiting.
             i = min(streams, key=lambda k: (bounds[k], k))
             try:
-                position, block, bounds[i] = next(streams[i])
+                position, block, bound = next(streams[i])
             except StopIteration:
                 del streams[i], bounds[i]
                 continue
             except Damaged as error:
                 raise self._damaged(error, self.files[i]) from error
-            numbers = distinct(block.topic)
-            counted[i].update({n: int(np.count_nonzero(block.topic == n)) for n in numbers})
-            waiting.append(_Waiting((i, position), self._renumbered(i, block, numbers)))
+            bounds[i] = bound - several
+            waiting.append(_Waiting((i, position), self._noted(counted, i, block)))
             size += int(block.size.sum())
-            if size >= BATCH and (bound := min(bounds.values())) > np.min(waiting[0].block.t, initial=LATEST):
-                ready, waiting = _parted(waiting, bound)
+            if size >= BATCH and (until := min(bounds.values())) > np.min(waiting[0].block.t, initial=LATEST):
+                ready, waiting = _parted(waiting, until)
                 size = sum(int(w.block.size.sum()) for w in waiting)
                 yield ready
         ready, _ = _parted(waiting, LATEST + 1)
         if len(ready):
             yield ready
 
-    def _renumbered(self, i: int, block: Block, numbers: Collection[int]) -> Block:
-        """Replace the topic numbers of a file by those of the bag."""
-        known = self._numbers[i]
+    def _noted(self, counted: list[Counter[int]], i: int, block: Block) -> Block:
+        """Count the messages of a file, and replace its topic numbers by those of the bag."""
+        numbers, known = distinct(block.topic), self._numbers[i]
+        counted[i].update({n: int(np.count_nonzero(block.topic == n)) for n in numbers})
         for number in numbers:
             if number not in known:
                 known[number] = self._add(

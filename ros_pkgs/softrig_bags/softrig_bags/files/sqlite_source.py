@@ -82,12 +82,12 @@ class SqliteSource(Source):
                 self.metadata = str(text) or self.metadata
 
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
-        """Yield blocks, each with its place in the file and the time before which no further message follows."""
+        """Yield blocks, each with its place in the file and the time before which nothing follows that precedes it."""
         try:
             rows, n, position = self._db.execute(_MESSAGES, (start,)), 1, 0
             while result := rows.fetchmany(n):
                 block = self._block(result)
-                yield position, block, int(block.t[-1])
+                yield position, block, int(block.t[-1]) + 1  # equal times are in the order of writing
                 position += len(block)
                 # Messages may be long, so the number of rows grows from one on, as their bytes allow.
                 n = max(1, min(ROWS, 2 * n, BYTES * n // max(len(block.raw), 1)))

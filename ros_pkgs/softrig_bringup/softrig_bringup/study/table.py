@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from softrig_core import load_scenario
+from softrig_core.arrow import arrow
 from softrig_core.judge.expectation import Expectation
 from softrig_core.verdict.findings import Finding, hold
 from softrig_core.verdict.result import Result
@@ -42,7 +43,7 @@ def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None
         columns[key] = [" ".join(row.get(key, ())) for row in rows]
     columns |= {k: [row[k] for row in rows] for k in ("passed", "error", "wall_s")}
     columns["command"] = [*_commands(rows, duration)]
-    table = pyarrow.table({name: _arrow(column) for name, column in columns.items()})
+    table = pyarrow.table({name: arrow(column) for name, column in columns.items()})
     pyarrow.parquet.write_table(table, folder / "table.parquet", compression="zstd")
     pyarrow.csv.write_csv(table, folder / "table.csv")
 
@@ -53,31 +54,6 @@ def _column(values: list[Any]) -> list[Any]:
     if types <= {int, float} and bool not in types:
         return [None if v is None else float(v) for v in values]
     return values if types in ({str}, {bool}) else [None if v is None else json.dumps(v) for v in values]
-
-
-def _arrow(values: Sequence[Any]) -> Any:
-    """Return a column of texts, truths or numbers, where any may be None, as an array of pyarrow.
-
-    It is made of memory, because `pyarrow.array` imports pandas, half a second, where that is installed.
-    """
-    import pyarrow
-
-    def bits(flags: Sequence[bool]) -> Any:
-        return pyarrow.py_buffer(np.packbits(flags, bitorder="little"))
-
-    kinds = {type(v) for v in values if v is not None}
-    if kinds == {str}:
-        texts = [(v or "").encode() for v in values]
-        ends = np.cumsum([0, *map(len, texts)])
-        # The usual kind of text counts its bytes by 32 bits.
-        kind, count = (pyarrow.string(), np.int32) if ends[-1] < 1 << 31 else (pyarrow.large_string(), np.int64)
-        parts = [pyarrow.py_buffer(ends.astype(count)), pyarrow.py_buffer(b"".join(texts))]
-    elif kinds == {bool}:
-        kind, parts = pyarrow.bool_(), [bits([bool(v) for v in values])]
-    else:
-        kind, number = (pyarrow.int64(), np.int64) if kinds == {int} else (pyarrow.float64(), np.float64)
-        parts = [pyarrow.py_buffer(np.array([v or 0 for v in values], number))]
-    return pyarrow.Array.from_buffers(kind, len(values), [bits([v is not None for v in values]), *parts])
 
 
 def command(row: Row, duration: float | None = None) -> str:
