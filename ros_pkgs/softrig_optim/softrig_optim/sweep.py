@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import gc
 import math
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
-from multiprocessing import get_context
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from softrig_core import RunError, ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import is_quiet, print_line
 
-from .template import Template
+# Pools and their modules are imported where processes begin: most uses have one case, or one process.
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ProcessPoolExecutor
+
+    from .template import Template
 
 C = TypeVar("C")
 R = TypeVar("R")
@@ -72,6 +72,11 @@ class Workers:
             # A garbage collection in a forked worker would touch, and so copy, all memory that it shares with this
             # process.
             gc.freeze()
+            from concurrent.futures import ProcessPoolExecutor
+            from multiprocessing import get_context
+
+            from .template import Template
+
             self._template = Template()
             self._pool = ProcessPoolExecutor(self._count, get_context("fork"), _end_with_parent)
             # This starts the workers now, before a progress bar has its thread, because a fork copies one thread only.
@@ -162,6 +167,9 @@ class Workers:
         return zip((k for k, _ in chunk), result, strict=True)
 
     def _on_cores(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
+        from concurrent.futures import FIRST_COMPLETED, wait
+        from concurrent.futures.process import BrokenProcessPool
+
         # The number beside a chunk counts how often its worker died.
         waiting: list[tuple[Chunk[C], int]] = []
         open_: dict[Future[tuple[list[R], float]], tuple[Chunk[C], int]] = {}
@@ -193,12 +201,17 @@ class Workers:
     def _submit(self, function: Callable[[C], R], chunk: Chunk[C]) -> Future[tuple[list[R], float]]:
         with _own_imports():
             if self._pool is None:
+                from concurrent.futures import ProcessPoolExecutor
+                from multiprocessing import get_context
+
                 context = get_context("spawn" if self._template is None else "forkserver")
                 self._pool = ProcessPoolExecutor(self._count, context, _end_with_parent)
             return self._pool.submit(_each_here, function, [case for _, case in chunk])
 
     def _on_cluster(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
         need("distributed", f"scheduler {self._scheduler}")
+        from concurrent.futures import CancelledError
+
         import distributed
 
         if self._client is None:
@@ -316,7 +329,9 @@ def _end_with_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # A fork inherits the handler of its parent, which would not end this process.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    parent = multiprocessing.parent_process()
+    from multiprocessing import parent_process
+
+    parent = parent_process()
     assert parent is not None
 
     def wait_for_its_end() -> None:
@@ -329,6 +344,7 @@ def _end_with_parent() -> None:
 def _connected(scheduler: str) -> Any:
     """Return a client of a Dask scheduler."""
     import asyncio
+    from concurrent.futures import ThreadPoolExecutor
 
     import distributed
     from distributed.comm import connect

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from ..content.topics import BagTopic
 from .yaml_text import qos_dicts, to_yaml
@@ -41,6 +38,11 @@ class Sqlite3File:
         self.path = path
         if path.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+        # Imported here, because few bags are of this storage, and this module is imported for every bag.
+        import sqlite3
+
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+
         self._db = sqlite3.connect(path)
         # Without this each commit waits for the disk. A crash of the process is still safe; only a loss of power is
         # not.
@@ -101,6 +103,8 @@ class Sqlite3File:
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         """Commit the changes of the block, or undo them and raise OSError, so that both storages fail alike."""
+        import sqlite3
+
         try:
             yield
             self._db.commit()

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import cache
 from io import StringIO
 from typing import Any
 
 import yaml
 from rosbags.interfaces import Qos
-from ruamel.yaml import YAML
-from ruamel.yaml.resolver import implicit_resolvers
 
 
 def qos_dicts(offered: Sequence[Qos]) -> list[dict[str, Any]]:
@@ -33,7 +32,7 @@ def qos_dicts(offered: Sequence[Qos]) -> list[dict[str, Any]]:
 
 def to_yaml(content: Any) -> str:
     """Write plain data as YAML 1.2 in block style, keys in their order."""
-    text: str = yaml.dump(content, Dumper=_Dumper, default_flow_style=False, sort_keys=False, width=_WIDTH)
+    text: str = yaml.dump(content, Dumper=_dumper(), default_flow_style=False, sort_keys=False, width=_WIDTH)
     return _by_ruamel(content) if _OTHERWISE.search(text) else text
 
 
@@ -43,6 +42,8 @@ _OTHERWISE = re.compile(r"[^ ]''|''[^\n]|\\[^n\"\\]|[^\x00-\x7f]")
 
 
 def _by_ruamel(content: Any) -> str:
+    from ruamel.yaml import YAML
+
     writer = YAML()
     writer.default_flow_style = False
     writer.width = _WIDTH
@@ -51,23 +52,27 @@ def _by_ruamel(content: Any) -> str:
     return text.getvalue()
 
 
-class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
-    """A twentieth of ruamel.yaml's time, which was most of a short run's for its bag."""
+@cache
+def _dumper() -> Any:
+    """Return a dumper with the rules of ruamel.yaml.
 
-    yaml_implicit_resolvers: dict[str, Any] = {}
+    It needs a twentieth of the time of ruamel.yaml, which was most of what a short run spent on its bag.
+    """
+    # Imported here, because most processes write no bag.
+    from ruamel.yaml.resolver import implicit_resolvers
 
-    def ignore_aliases(self, data: Any) -> bool:
-        """Write everything out."""
-        return True
+    class Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
+        yaml_implicit_resolvers: dict[str, Any] = {}
 
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
 
-for _versions, _tag, _pattern, _first in implicit_resolvers:
-    if (1, 2) in _versions:
-        _Dumper.add_implicit_resolver(_tag, _pattern, _first)
+    for versions, tag, pattern, first in implicit_resolvers:
+        if (1, 2) in versions:
+            Dumper.add_implicit_resolver(tag, pattern, first)
+    Dumper.add_representer(str, _text)
+    return Dumper
 
 
 def _text(dumper: Any, text: str) -> Any:
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"' if "\n" in text else None)
-
-
-_Dumper.add_representer(str, _text)

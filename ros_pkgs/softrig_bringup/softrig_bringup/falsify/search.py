@@ -194,6 +194,9 @@ def _cma_class() -> Any:
 
 
 def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]) -> None:
+    # The import takes a tenth of a second, and a small budget is used up before.
+    if over():
+        return
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)

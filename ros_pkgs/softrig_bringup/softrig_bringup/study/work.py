@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
-from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,6 +84,8 @@ def run(work: Work, thorough: bool = False) -> dict[str, Any]:
     Impure
         What a block answers depends on runs before this one, so no row could be trusted.
     """
+    from multiprocessing import parent_process
+
     # This process has run a study only if it is a worker, and no other code of it minds the thread that watches.
     if parent_process() is not None:
         watch_on()
