@@ -86,6 +86,22 @@ def pictures(words: str, checkout: Path, folder: Path) -> Values:
     return (whole - bare,)
 
 
+def drawing(words: str, function: str, checkout: Path, folder: Path) -> Values:
+    """Return the CPU time in s of the function by which a command draws, with the import of its module.
+
+    Nothing else of the command is measured, so that a command without an option to leave the pictures out has a row.
+
+    Parameters
+    ----------
+    words : str
+        Of the command, as for `used`.
+    function : str
+        ``module.function`` of softrig_bringup.
+    """
+    module, _, name = function.rpartition(".")
+    return ran(HEAD + DRAWING.format(f"softrig_bringup.{module}", name, words), checkout, folder)
+
+
 def ran(code: str, checkout: Path, folder: Path) -> Values:
     """Run code in a fresh process of a checkout and return the numbers of the list that it prints.
 
@@ -184,6 +200,24 @@ def works(name, key, values, duration=None):
     draft = read_draft(name)
     return [Work(Case(k, name, "", {key: x}, 1), duration, runs=10_000, scenario=draft) for k, x in enumerate(values)]
 """
+DRAWING = """
+import importlib
+import softrig_core
+spent = -time.process_time()
+module = importlib.import_module({0!r})
+spent += time.process_time()
+draw = module.{1}
+def timed(*arguments, **options):
+    global spent
+    spent -= time.process_time()
+    result = draw(*arguments, **options)
+    spent += time.process_time()
+    return result
+module.{1} = timed
+from softrig_bringup.cli import main
+main({2!r}.replace("OUT", str(Path(sys.argv[1], "out"))).split())
+print(json.dumps([spent]))
+"""
 # Workers of a study are forks of the process that has read it.
 STUDY = """
 from multiprocessing import get_context
@@ -230,6 +264,10 @@ def _command(words: str, target: str, **how: int | bool) -> Row:
     return Row(partial(cost, words), (("", CPU, target),), **how)  # type: ignore[arg-type]
 
 
+def _drawing(words: str, function: str) -> Row:
+    return Row(partial(drawing, words, function), (("", CPU, "0.3"),), rounds=1, warm=False)
+
+
 # `made` is the result of `PREPARED`, and OUT a new path. A target without a unit is relative to the earlier build.
 PREPARED = f"run {B2} --mode inprocess --out made"
 ROWS = {
@@ -250,6 +288,15 @@ ROWS = {
     "falsify, 100 runs of 2 s of induction_dtc": _command(f"{FALSIFY} --budget 100 --out OUT", "0.3", rounds=1),
     "pictures of falsify": Row(
         partial(pictures, f"{FALSIFY} --budget 2 --out OUT"), (("", CPU, "0.3"),), rounds=1
+    ),
+    "pictures of a study, 2 runs": _drawing(
+        f"study {B2} --grid dc_motor_smc.delta=1,5 --workers 1 --out OUT", "study.pictures.draw_study"
+    ),
+    "pictures of results, economic_dispatch": _drawing(
+        "results economic_dispatch --workers 1 --out OUT", "plots.pictures.plot_run"
+    ),
+    "pictures of a run, at the end of run and view": _drawing(
+        f"run {B2} --mode inprocess --duration 5 --out OUT", "plots.pictures.plot_run"
     ),
     "writing bags, a message of induction_dtc": Row(partial(ran, HEAD + WRITE), (("", "CPU us", "0.4"),)),
     **{
