@@ -185,10 +185,16 @@ def test_no_native_tick_runs_while_the_clock_stands(tmp_path, monkeypatch):
     run = Ticking(tmp_path, monkeypatch)
     while not run.ticking.active:
         run.on(run.plant.ticks + 1)
+
+    def stops(until):
+        for adapter in run.adapters.values():
+            adapter.drive._stand.receive(["ahead=0", "from=0", f"until={until}"])
+
+    stops(run.epoch + 1000 * SECOND)
+    # A loaded host may not run Python's thread before the stop, and native code would not notice it.
+    assert not run.ticking.active
     stop = run.epoch + run.plant.schedule.time(run.plant.ticks) + SECOND // 10
-    for adapter in run.adapters.values():
-        adapter.drive._stand.receive(["ahead=0", "from=0", f"until={stop}"])
-    # A loaded host may not run Python's thread before the stop.
+    stops(stop)
     while time.time_ns() < stop + SECOND // 10:
         time.sleep(0.001)
     limit = time.monotonic() + 60.0
