@@ -314,11 +314,14 @@ class Draft:
             raise ScenarioError(f"{self.path.name}: {error}") from None
 
 
-def _revised(known: NodeEntry | None, before: Any, entry: Mapping[str, Any], shared: Mapping[str, Any]) -> NodeEntry:
+def _revised(known: NodeEntry | None, before: Any, entry: Any, shared: Mapping[str, Any]) -> NodeEntry:
     """Return a node's entry for changed content; where its parameters alone differ, nothing else is validated again."""
-    if known is None or any(before.get(key) is not value for key, value in entry.items() if key != "parameters"):
-        return NodeEntry.model_validate(fill(entry, shared))
-    return known.model_copy(update={"parameters": fill(entry["parameters"], shared)})
+    # An entry that refers to a shared value (`Over`) is no mapping before it is filled.
+    if known is not None and isinstance(entry, dict) and isinstance(before, dict):
+        changed = {key for key, value in entry.items() if before.get(key) is not value}
+        if changed == {"parameters"} and isinstance(values := fill(entry["parameters"], shared), dict):
+            return known.model_copy(update={"parameters": values})
+    return NodeEntry.model_validate(fill(entry, shared))
 
 
 def read_draft(name: str) -> Draft:
