@@ -18,6 +18,7 @@ from softrig_bags.files.mcap_source import McapSource, message_run
 from softrig_bags.files.reader import BagReader
 from softrig_bags.files.source import Damaged
 from softrig_bags.read import read_bag, signals
+from test_foreign_bags import number
 
 FLOAT, TEXT = "std_msgs/msg/Float64", "std_msgs/msg/String"
 PARTS = ("use_statistics", "repeat_channels", "repeat_schemas", "use_summary_offsets")
@@ -31,10 +32,6 @@ FILES = [
     for chunks in CHUNKS
     for compression in (COMPRESSIONS if chunks[0] else COMPRESSIONS[:1])
 ]
-
-
-def number(value):
-    return struct.pack("<HHd", 0x100, 0, value)
 
 
 def text(words):

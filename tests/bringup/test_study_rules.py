@@ -17,17 +17,14 @@ from softrig_bringup.cli import make_parser
 from softrig_bringup.page.html import page as make_page
 from softrig_bringup.study import engine, options, page, pictures, table, work
 from softrig_bringup.study.batch import Batch, Log, row_of
-from softrig_bringup.study.definition import Distribution, Draws, make_study
+from softrig_bringup.study.definition import Distribution, Draws
 from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
 from softrig_bringup.study.statistics import Statistics
 from softrig_core import Run, RunError, ScenarioError, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
+from test_study import study
 
 X = "lag/state/x/position"
-
-
-def study(**keys):
-    return make_study({"name": "demo", "title": "Demo", "scenario": "lag"} | keys)
 
 
 def row(number=0, *, figures=None, overrides=None, never=(), seed=0, case="", error=""):

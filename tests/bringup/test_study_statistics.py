@@ -11,7 +11,6 @@ from expected_text import on_paper
 from scipy import stats
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.study import estimate, pictures, tabled
-from softrig_bringup.study.definition import make_study
 from softrig_bringup.study.draw import count, drafts_of, draw, points_of
 from softrig_bringup.study.engine import check_seeds
 from softrig_bringup.study.estimate import Estimate
@@ -19,13 +18,9 @@ from softrig_bringup.study.options import study_of
 from softrig_bringup.study.statistics import not_judged, statistics
 from softrig_bringup.study.table import results
 from softrig_core import ScenarioError
-from test_study import folder  # noqa: F401  (a scenario `lag` in a folder of its own)
+from test_study import folder, study  # noqa: F401  (a scenario `lag` in a folder of its own)
 
 UNIFORM = {"uniform": [0.0, 1.0]}
-
-
-def study(**keys):
-    return make_study({"name": "demo", "title": "Demo", "scenario": "lag"} | keys)
 
 
 def rows_of(definition, figure, cases=("",)):

@@ -11,6 +11,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from expected_text import check_expected
+from helpers import outcome
 from softrig_core import (
     Block,
     Level,
@@ -37,15 +38,6 @@ from softrig_core.block.params import BlockParams, Params, build, check_steps, d
 from softrig_core.block.port import Sample, pose
 from softrig_core.block.schedule import Schedule, rational
 from softrig_core.wire.cdr import Layout
-
-
-def outcome(function, *arguments, **words):
-    """The result of a function, or the line of its error."""
-    try:
-        return repr(function(*arguments, **words))
-    except (ValueError, TypeError) as error:
-        return f"{type(error).__name__}: {error}"
-
 
 # time -----------------------------------------------------------------------------------------------------------------
 

@@ -2,7 +2,6 @@
 text.
 """
 
-import argparse
 import cmath
 import errno
 import hashlib
@@ -18,6 +17,7 @@ from types import SimpleNamespace
 
 import pytest
 from expected_text import check_expected
+from helpers import outcome
 from softrig_core import Block, BlockParams, Plant, Rig, RunError, ScenarioError, bits, guard, param, scalars
 from softrig_core.block.params import declarations
 from softrig_core.command_line import Number, Parser, named, without_ros
@@ -32,14 +32,6 @@ from softrig_core.rig.package_check import check_entry_point, entry_points
 from softrig_core.scenario.changes import ChangeEntry
 from softrig_core.scenario.faults import FaultEntry
 from softrig_core.scenario.scenario import FigureEntry, NodeEntry, PlotEntry, Scenario
-
-
-def outcome(function, *arguments, **words):
-    """The result of a function, or the line of its error."""
-    try:
-        return repr(function(*arguments, **words))
-    except (ScenarioError, RunError, ValueError, TypeError, argparse.ArgumentTypeError) as error:
-        return f"{type(error).__name__}: {error}"
 
 
 def test_declarations_are_as_expected():

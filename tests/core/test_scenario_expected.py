@@ -12,7 +12,8 @@ from types import SimpleNamespace
 
 import pytest
 from expected_text import check_expected
-from softrig_core import ParameterError, Port, ScenarioError, array, joint_state, load_scenario, number, param, scalars
+from helpers import outcome
+from softrig_core import Port, ScenarioError, array, joint_state, load_scenario, number, param, scalars
 from softrig_core.block.block import Block
 from softrig_core.block.params import BlockParams
 from softrig_core.scenario.changes import ChangeEntry, script
@@ -24,15 +25,6 @@ from softrig_core.scenario.references import fill, fill_parameters, parameter_of
 from softrig_core.scenario.scenario import Draft, Scenario
 from softrig_core.scenario.scenario_file import inherit, list_scenarios, locate, merge, names, resolve
 from softrig_core.scenario.yaml_file import DEPTH, NODES, SIZE, read_mapping, read_yaml, write_yaml
-
-
-def outcome(function, *arguments, **words):
-    """The result of a function, or the line of its error."""
-    try:
-        return repr(function(*arguments, **words))
-    except (ScenarioError, ParameterError, ValueError, KeyError) as error:
-        return f"{type(error).__name__}: {error}"
-
 
 # YAML -----------------------------------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import softrig_optim.sweep as sweeping
 from conftest import PATIENCE, make_scenario
+from helpers import Transformer
 from hypothesis import given, settings, strategies as st
 from softrig_core import ByHand, Plant, RunError, ScenarioError, rig_of, run_inprocess
 from softrig_core.solver.worker import Worker, _Process
@@ -216,16 +217,6 @@ def test_genetic_generations_in_parallel():
 
 
 # along the load line --------------------------------------------------------------------------------------------
-
-
-class Transformer:
-    """An ideal transformer as the matching: the source sees R = load/d^2."""
-
-    def load(self, command, seen):
-        return seen * command**2
-
-    def command(self, seen, load):
-        return math.sqrt(load / seen)
 
 
 def operate(v, i, load, d):

@@ -8,6 +8,7 @@ import math
 import random
 
 import pytest
+from helpers import Transformer
 from softrig_core import ByHand, param
 from softrig_optim.falling import FallingCurve
 from softrig_optim.load_line import CertifiedSearch
@@ -17,14 +18,6 @@ from softrig_optim.scan import Scan
 
 STOPPED, SEARCH, HOLD = range(3)
 PERIOD = 10_000_000  # ns; the re-implementations count time in ticks
-
-
-class Transformer:
-    def load(self, command, seen):
-        return seen * command**2
-
-    def command(self, seen, load):
-        return math.sqrt(load / seen)
 
 
 class ProvenParams(SearchParams):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers import Transformer
 from hypothesis import example, given, settings, strategies as st
 from scipy.optimize import minimize_scalar
 from softrig_optim.de import DifferentialEvolution
@@ -283,16 +284,6 @@ def test_a_scan_looks_where_scipy_does(shape, low):
         )
         assert [e.x[0] for e in search.history] == [*grid, *seen]
         assert search.iteration == len(seen)
-
-
-class Transformer:
-    """An ideal transformer as the matching: the source sees R = load / d^2."""
-
-    def load(self, command, seen):
-        return seen * command**2
-
-    def command(self, seen, load):
-        return math.sqrt(load / seen)
 
 
 class LoadLine:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from conftest import few
+from helpers import Transformer
 from scipy.linalg import solve_discrete_lyapunov
 from softrig_control.predictive.carima import Carima
 from softrig_control.predictive.certificate import assess, certify as dual_mode, companion
@@ -466,16 +467,6 @@ def dispatch_with_conditions(rng):
 
 
 # search along a falling characteristic: all of it --------------------------------------------------------------------
-
-
-class Transformer:
-    """An ideal matching: the source sees load/d^2."""
-
-    def load(self, command, seen):
-        return seen * command**2
-
-    def command(self, seen, load):
-        return math.sqrt(load / seen)
 
 
 def bound_of_a_search(rng):

@@ -11,6 +11,7 @@ import types
 import casadi
 import numpy as np
 import pytest
+from helpers import interpreted
 from scipy.optimize import linprog, minimize_scalar
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.solver.solver import Result
@@ -568,10 +569,7 @@ def test_results_of_ipopt_are_accepted_as_expected(monkeypatch, success, answer,
 
 @pytest.fixture
 def plain(monkeypatch):
-    """The compiled functions as plain ones: compilation does not pay for a few calls."""
-    for name in ("unit_cost", "chord_excess", "_surplus", "_meets", "_order", "_value"):
-        monkeypatch.setattr(branch, name, getattr(branch, name).py_func)
-    return branch
+    return interpreted(monkeypatch, branch, "unit_cost", "chord_excess", "_surplus", "_meets", "_order", "_value")
 
 
 def excess(row, x0, x1):

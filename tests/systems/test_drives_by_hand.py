@@ -11,6 +11,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from helpers import near
 from scipy.linalg import expm, solve_discrete_are
 from softrig_control.state_feedback import StateFeedback
 from softrig_core import ByHand, Level, Sample
@@ -35,10 +36,6 @@ from softrig_drives.induction_dtc.speed import SpeedController
 from softrig_drives.induction_dtc.switching import TABLES, VECTORS, flux_level, sector, torque_level, voltage
 
 MS = 1_000_000
-
-
-def near(expected):
-    return pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 # the axis --------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import warnings
 
 import numpy as np
 import pytest
+from helpers import interpreted
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfilt
 from softrig_bags.write import write_bag
@@ -435,10 +436,7 @@ def test_texts_of_a_file_are_read_in_the_encodings_of_recorders():
 
 @pytest.fixture
 def plain(monkeypatch):
-    """The compiled functions as plain ones: compilation does not pay for a few calls."""
-    for name in ("lagrange", "trial_voltage", "mismatch"):
-        monkeypatch.setattr(equations, name, getattr(equations, name).py_func)
-    return equations
+    return interpreted(monkeypatch, equations, "lagrange", "trial_voltage", "mismatch")
 
 
 LINE = Section(0.03, 1e-3, 1.2e-8, 100.0)
@@ -1134,8 +1132,7 @@ def plain_steps(monkeypatch):
     step = simulation.advance.py_func
     compiled = [name for name, value in vars(simulation).items() if isinstance(value, Jit)]
     assert {"histories", "store", "together", "filter_steps", "_fault"} < set(compiled)
-    for name in compiled:
-        monkeypatch.setattr(simulation, name, getattr(simulation, name).py_func)
+    interpreted(monkeypatch, simulation, *compiled)
     return step
 
 

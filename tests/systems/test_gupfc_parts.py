@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers import interpreted
 from scipy.integrate import quad
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.block.params import build
@@ -312,10 +313,8 @@ def test_the_mean_of_a_converters_voltage_over_a_step(monkeypatch):
 
 @pytest.fixture
 def plain(monkeypatch):
-    """The compiled functions as plain ones: compilation does not pay for a few calls."""
-    for name in ("mean_voltage", "_unit", "integral", "histories", "store"):
-        monkeypatch.setattr(steps, name, getattr(steps, name).py_func)
-    monkeypatch.setattr(pulses, "_area", pulses._area.py_func)
+    interpreted(monkeypatch, steps, "mean_voltage", "_unit", "integral", "histories", "store")
+    interpreted(monkeypatch, pulses, "_area")
 
 
 @pytest.mark.parametrize(("pulse", "tripped"), [(0, False), (1, False), (0, True)])

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers import two_port
 from scipy.optimize import brentq, minimize_scalar
 from scipy.signal import step
 from scipy.special import lambertw
@@ -163,13 +164,6 @@ def test_another_rectifier_rests_at_its_balance_of_power(V, f, L, R, C, R_L, v):
 # -------------------------------------------------------------------------------
 
 
-def distributed(r, l, c, length, omega):  # noqa: E741
-    """Two-port admittance (2, 2) of a line with distributed constants per km."""
-    z, y = complex(r, omega * l), 1j * omega * c
-    turn, surge = np.sqrt(z * y) * length, np.sqrt(z / y)
-    return np.array([[1 / np.tanh(turn), -1 / np.sinh(turn)], [-1 / np.sinh(turn), 1 / np.tanh(turn)]]) / surge
-
-
 @pytest.mark.parametrize("number", DRAWN)
 def test_a_random_line_carries_the_current_of_its_phasors_and_its_waves_arrive_in_time(number):
     chance = np.random.default_rng([1, number])
@@ -183,7 +177,8 @@ def test_a_random_line_carries_the_current_of_its_phasors_and_its_waves_arrive_i
         "source.voltage": voltage, "source.frequency": frequency, "source.angle_r": angle, "source.r1": R,
         "source.x1": X, "fault.x_km": x, "fault.t_on": closing * 1e-6, "measurement.profile": "raw1m"}  # fmt: skip
     faulted, sound = (FaultedLine(build(RigParams, overrides | {"fault.type": kind})) for kind in ("AG", "none"))
-    Y = distributed(line["r1"], line["l1"], line["c1"], line["length"], 2.0 * np.pi * frequency)
+    s = 2j * np.pi * frequency
+    Y = two_port(line["r1"] + s * line["l1"], s * line["c1"], line["length"])
     E = voltage / np.sqrt(3.0) * np.exp([0.0, 1j * angle])
     U = np.linalg.solve(Y + np.eye(2) / complex(R, X), E / complex(R, X))
     into = Y @ U
@@ -265,7 +260,7 @@ def test_the_flow_of_a_random_double_line_satisfies_its_equations(number):
         source1_voltage=chance.uniform(0.97, 1.03),
     )  # fmt: skip
     names = "A1234B"
-    half = distributed(r / base, l / base, c * base, length, omega)
+    half = two_port(complex(r, omega * l) / base, 1j * omega * c * base, length)
     source = 1.0 / complex(0.003, 0.02)
     Y = np.zeros((6, 6), dtype=complex)
     for pair in ("A1", "A3", "2B", "4B"):

@@ -10,6 +10,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from helpers import near
 from scipy.integrate import quad
 from softrig_core import ByHand, to_ns
 from softrig_drives.lsrm import figures
@@ -24,10 +25,6 @@ from softrig_drives.lsrm.profile import Profile, Quintic
 from softrig_drives.lsrm.profile_generator import ProfileGenerator, largest_force
 
 MS = 1_000_000
-
-
-def near(expected):
-    return pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 GIVEN = Geometry()

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import near
 from scipy.integrate import solve_ivp
 from softrig_core import ByHand, Level, Result, to_ns
 from softrig_systems.optimal_control.collocation_planner import CollocationPlanner
@@ -31,10 +32,6 @@ from softrig_systems.optimal_control.problem import Problem, ProblemError
 from softrig_systems.optimal_control.problems import INERTIA, find, spacecraft
 
 S = 1_000_000_000
-
-
-def near(expected):
-    return pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 MOVER = Problem(  # the mass moves by 1 in 2 s: u = 1.5 (1 - t), lambda = (-1.5, -1.5 (1 - t)), J = 0.75

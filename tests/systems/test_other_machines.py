@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 from docs.outline import SYSTEMS, pages
+from helpers import two_port
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize
 from scipy.special import lambertw
@@ -227,17 +228,10 @@ def test_the_generators_of_the_30_bus_system_are_dispatched_at_equal_slopes():
     assert [result[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P[:3], abs=0.3)
 
 
-def long_line(r, x, b, length):
-    """Two-port admittance (2, 2) of a line with distributed constants per km."""
-    z, y = complex(r, x), 1j * b
-    k, Zc = np.sqrt(z * y) * length, np.sqrt(z / y)
-    return np.array([[1 / np.tanh(k), -1 / np.sinh(k)], [-1 / np.sinh(k), 1 / np.tanh(k)]]) / Zc
-
-
 def test_a_500_kv_line_carries_its_current_and_its_fault_is_found():
     result = simulate("fault_location_500kv").figures
     assert abs(result["error"]) <= 5.0  # m, on a line of 130 km
-    Y = long_line(0.028, 0.325, 5.20e-6, 200.0) + np.eye(2) / complex(1.31, 15.0)
+    Y = two_port(complex(0.028, 0.325), 5.20e-6j, 200.0) + np.eye(2) / complex(1.31, 15.0)
     E = 500e3 * np.sqrt(2 / 3) * np.exp(1j * np.radians([0.0, -10.0]))
     U = np.linalg.solve(Y, E / complex(1.31, 15.0))
     I = (E[0] - U[0]) / complex(1.31, 15.0)  # noqa: E741
@@ -246,7 +240,7 @@ def test_a_500_kv_line_carries_its_current_and_its_fault_is_found():
 
 def test_converters_in_another_double_line_give_the_powers_of_the_phasors():
     base = 345e3**2 / 400e6
-    half = long_line(0.037 / base, 0.367 / base, 4.518e-6 * base, 100.0)
+    half = two_port(complex(0.037, 0.367) / base, 4.518e-6j * base, 100.0)
     at = {bus: k for k, bus in enumerate("A1234B")}
     Y = np.zeros((6, 6), dtype=complex)
     for pair in ("A1", "A3", "2B", "4B"):

@@ -9,6 +9,7 @@ import types
 
 import numpy as np
 import pytest
+from helpers import interpreted
 from scipy.optimize import brentq
 from softrig_core import ByHand, Level, ParameterError
 from softrig_core.block.params import build
@@ -177,8 +178,7 @@ def test_the_steady_state_is_steady(d):
     ],
 )
 def test_the_averaged_equations_with_limits_at_each_stage(monkeypatch, x, d):
-    monkeypatch.setattr(converter, "_slopes", converter._slopes.py_func)
-    monkeypatch.setattr(converter, "_advance", converter._advance.py_func)
+    interpreted(monkeypatch, converter, "_slopes", "_advance")
     p, h, n = ConverterParams(L=2e-3, C_i=1e-3, C_o=5e-4, R_L=4.0, r=0.3), 2e-4, 12
 
     def slope(y):

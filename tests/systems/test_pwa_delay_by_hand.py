@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers import near
 from numpy.polynomial import legendre
 from scipy.integrate import quad
 from scipy.optimize import brentq
@@ -37,10 +38,6 @@ from softrig_systems.pwa_delay.search import Margin, Run, find_margin, growth_ra
 from softrig_systems.pwa_delay.system import BadSystem, PwaSystem, from_lines, linear
 
 MS = 1_000_000
-
-
-def near(expected):
-    return pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 # the inequalities ------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from random import Random
 import numpy as np
 import pytest
 from conftest import few
+from helpers import near
 from softrig_core import ByHand, Level, ParameterError, RunError, Sample, to_ns
 from softrig_core.block.params import build
 from softrig_robots.joints import JointGains, PerJoint, motor_names, require_positive, spread
@@ -30,10 +31,6 @@ from softrig_robots.rehab.tuner import Tuner
 from softrig_robots.urdf import check_inertia, for_pinocchio, root_link
 
 MS = 1_000_000
-
-
-def near(expected):
-    return pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 def sign(x):

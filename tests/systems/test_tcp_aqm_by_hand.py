@@ -10,6 +10,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from helpers import near
 from softrig_core import ByHand, Level
 from softrig_core.block.params import build
 from softrig_systems.tcp_aqm import figures
@@ -23,10 +24,6 @@ from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 MS = 1_000_000
 GAINS = {"k1": 3.0, "k2": 40.0, "lam": 5.0, "l1": 2.0, "l2": 7.0, "k": 30.0, "kp": 1e-3, "ki": 2e-3, "bias": 0.1,
          "pid_gain": 4e-3, "pid_ti": 2.0, "pid_td": 0.3, "a": 1.5}  # fmt: skip
-
-
-def near(expected):
-    return pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 def sign(s, width):
