@@ -2,10 +2,13 @@
 
 import argparse
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from softrig_core import RunError
+from softrig_core.renamed import executables
+from softrig_core.rig.installed import load_block
 
 
 class Transformer:
@@ -41,3 +44,16 @@ def two_port(series, shunt, length):
     """Admittance (2, 2) of a line with distributed impedance and admittance per km."""
     k, z = np.sqrt(series * shunt) * length, np.sqrt(series / shunt)
     return np.array([[1 / np.tanh(k), -1 / np.sinh(k)], [-1 / np.sinh(k), 1 / np.tanh(k)]]) / z
+
+
+def blocks(defaults=True):
+    """Yield (package, executable, class) of all blocks, or of those whose parameters all have defaults."""
+    for file in sorted(Path(__file__).parents[1].glob("ros_pkgs/*/setup.cfg")):
+        for name in executables(file.parent.name):
+            try:
+                block = load_block(file.parent.name, name)
+                if defaults:
+                    block.Params()
+            except ValueError:  # an executable that is a tool, or a block without defaults
+                continue
+            yield file.parent.name, name, block

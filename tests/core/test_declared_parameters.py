@@ -12,6 +12,7 @@ import pytest
 from by_hand import Hand
 from conftest import few
 from faultrig import Lag
+from helpers import blocks
 from rcl_interfaces.msg import Parameter as Message
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -25,9 +26,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 from softrig_core.block.params import build, declarations, flatten
-from softrig_core.errors import ScenarioError
-from softrig_core.renamed import executables
-from softrig_core.rig.installed import load_block
 from softrig_core.rig.options import Links, RunOptions
 from softrig_nodes.adapter.adapter import Adapter
 from softrig_nodes.face.tuning import Tuning
@@ -38,19 +36,7 @@ from softrig_nodes.seam.monitor import Monitor
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 from services import HOSTILE, STRANGE
 
-ROOT = Path(__file__).parents[2]
 RUN = {d.name: d for d in declarations(RunOptions, "run.")}
-
-
-def blocks():
-    for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
-        for name in executables(file.parent.name):
-            try:
-                block = load_block(file.parent.name, name)
-                block.Params()
-            except (ScenarioError, ValueError):  # an executable that is a tool, or a block without defaults
-                continue
-            yield pytest.param(block, id=f"{file.parent.name}-{name}")
 
 
 class Stood(ServingNode):
@@ -114,7 +100,7 @@ def served(node, block, state):
 
 
 @pytest.mark.parametrize("state", [pytest.param(s, marks=pytest.mark.long) for s in ("rest", "realtime")] + ["running"])
-@pytest.mark.parametrize("block", few(blocks(), 3))
+@pytest.mark.parametrize("block", few([pytest.param(b, id=f"{package}-{name}") for package, name, b in blocks()], 3))
 def test_no_call_changes_type_range_or_existence(block, state, event):
     node = Stood()
     current, paces, adapter = served(node, block, state)

@@ -1,16 +1,13 @@
 """Every plant names its state, and can be linearised."""
 
-from pathlib import Path
-
 import control
 import numpy as np
 import pytest
+from helpers import blocks
 from softrig_control.discretise import zero_order_hold
 from softrig_control.nodes.linear_plant import LinearPlant
-from softrig_core import ByHand, Plant, Sampled, ScenarioError, equilibrium, state_type, to_ns
+from softrig_core import ByHand, Plant, Sampled, equilibrium, state_type, to_ns
 from softrig_core.kit.floats import numbers
-from softrig_core.renamed import executables
-from softrig_core.rig.installed import load_block
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.induction_dtc.plant import ImPlant
@@ -18,25 +15,12 @@ from softrig_power.pv.converter import steady_state
 from softrig_power.pv.plant import PvPlant
 from softrig_power.rectifier.plant import RectifierPlant
 
-ROOT = Path(__file__).parents[2]
-
-
-def plants():
-    """Executable to class, for all plants."""
-    result = {}
-    for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
-        for name in executables(file.parent.name):
-            try:
-                kind = load_block(file.parent.name, name)
-            except ScenarioError:  # the executable is a tool, not a node
-                continue
-            # The state of these plants is in a file.
-            if issubclass(kind, Plant) and name not in ("fmu_plant", "c_plant"):
-                result[name] = kind
-    return result
-
-
-PLANTS = plants()
+# The states of two plants are in files.
+PLANTS = {
+    name: block
+    for _, name, block in blocks(defaults=False)
+    if issubclass(block, Plant) and name not in ("fmu_plant", "c_plant")
+}
 
 
 def stepped(node, first, count):

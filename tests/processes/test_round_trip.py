@@ -2,42 +2,30 @@
 
 import math
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 import rclpy
 import yaml
 from conftest import until
 from faultrig import Gain
+from helpers import blocks
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from softrig_core import renamed
 from softrig_core.block.params import declarations, flatten
-from softrig_core.errors import ScenarioError
-from softrig_core.rig.installed import load_block
 from softrig_nodes.main import make_adapter
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.ros.ros import RosMiddleware, ServingNode, plain
 
-ROOT = Path(__file__).parents[2]
 FMUS = ("fmu_controller", "fmu_plant")  # these nodes require a file
 # One each with optional numbers, with lists, and a plant.
 DAILY = ("dc_motor_smc", "profile_generator", "reference_source", "rectifier_plant")
-
-
-def executables():
-    for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
-        for name in renamed.executables(file.parent.name):
-            if name in FMUS:
-                continue
-            try:
-                block = load_block(file.parent.name, name)
-                block.Params()
-            except (ScenarioError, ValueError):  # an executable that is a tool, or a block without defaults
-                continue
-            yield pytest.param(name, block, marks=[] if name in DAILY else pytest.mark.long, id=name)
+EXECUTABLES = [
+    pytest.param(name, block, marks=[] if name in DAILY else pytest.mark.long, id=name)
+    for _, name, block in blocks()
+    if name not in FMUS
+]
 
 
 @pytest.fixture
@@ -83,7 +71,7 @@ def other(declared, value):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(("name", "block"), executables())
+@pytest.mark.parametrize(("name", "block"), EXECUTABLES)
 def test_tuned_dumped_and_loaded_it_is_the_same(name, block, tmp_path, domain):
     file = tmp_path / "dump.yaml"
 
@@ -132,7 +120,7 @@ def hostile():
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(("name", "block"), executables())
+@pytest.mark.parametrize(("name", "block"), EXECUTABLES)
 def test_whatever_is_set_over_ros_each_parameter_keeps_its_type_and_range(name, block, domain):
     """By both services, with `list` and `describe` before and after; tests/core/test_declared_parameters.py has all
     executables.
