@@ -142,7 +142,7 @@ class Owner(Base):
         self.array, self.long = np.array([1.0, 2.0, 3.0]), [0.5 * k for k in range(17)]
         self.many, self.spin, self.gainful = tuple(map(float, range(65))), 0.5 - 1.5j, Gain(1.5)
         self.bound, self.lent, self.kept = partial(limited, most=1.0), self.gainful.own, Kept(a=1.25)
-        self.draws = Draws(lambda: np.random.default_rng(1), "random")
+        self.draws = Draws((1,), "random")
         self.newest = Newest(lambda key: (2.0 * key, 3.0 * key))
         self.newest(0.5)
         self.view, self.ages = MappingProxyType({"one": 1.0}), {"near": 0, "far": 7_000_000_000}.get

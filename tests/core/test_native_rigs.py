@@ -264,7 +264,7 @@ class Shaken(Body):
 
     def setup(self) -> None:
         """Draw."""
-        self.draws = Draws(lambda: np.random.default_rng(1), "random")
+        self.draws = Draws((1,), "random")
 
     def first(self) -> Several:
         """Begin."""

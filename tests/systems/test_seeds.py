@@ -51,12 +51,12 @@ def test_another_seed_gives_another_run_and_the_same_seed_the_same(scenario):
 
 OWN = {  # generators that do not use the seed of the rig, by file: their number and the reason
     "softrig_core/block/block.py": (1, "the one of a rig's seed"),
+    "softrig_core/kit/draws.py": (1, "of what it is given"),
     "softrig_optim/search.py": (1, "of what it is given; a node gives that of the rig"),
     "softrig_systems/pwa_delay/profiles.py": (1, "of what it is given"),
     "softrig_power/dispatch/baselines.py": (1, "of what it is given"),
     "softrig_systems/tcp_aqm/packets_plant.py": (1, "of the rig's, and of a parameter that is added"),
     "softrig_power/fault_location/locator.py": (1, "of the rig's, and of a parameter that is added"),
-    "softrig_power/fault_location/plant.py": (1, "of the rig's, and of a parameter that is added"),
     "softrig_power/fault_location/method/objective.py": (1, "of a record without a rig"),
     "softrig_power/fault_location/study.py": (1, "of a record without a rig"),
     "softrig_systems/pwa_delay/proof/applicability.py": (1, "points at which a region is looked at, always the same"),

@@ -296,18 +296,22 @@ class Block(Generic[P]):
         """Return a generator at the beginning of this block's random numbers, a function of (rig seed, block name)."""
         import numpy as np
 
+        return np.random.default_rng(self._seeds)
+
+    @property
+    def _seeds(self) -> tuple[int, int]:
         # Python's own `hash` of a text differs from process to process, so the name enters by a checksum.
-        return np.random.default_rng([self._seed, zlib.crc32(self.name.encode())])
+        return self._seed, zlib.crc32(self.name.encode())
 
     @cached_property
     def standard_normal(self) -> Draws:
         """Normal numbers by index, ``self.standard_normal(k)``: those that `generator` draws, in their order."""
-        return Draws(self.generator, "standard_normal")
+        return Draws(self._seeds, "standard_normal")
 
     @cached_property
     def uniform(self) -> Draws:
         """Uniform numbers in [0, 1) by index, ``self.uniform(k)``: those that `generator` draws, in their order."""
-        return Draws(self.generator, "random")
+        return Draws(self._seeds, "random")
 
     def report(self, level: Level, key: str, text: str, *, anew: bool = False) -> None:
         """Report an event of this tick, for /diagnostics; reports of a discarded tick are discarded."""

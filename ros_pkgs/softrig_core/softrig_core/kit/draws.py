@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ class Draws:
 
     Parameters
     ----------
-    stream : callable
-        Returns a generator at the beginning of the stream.
+    seeds : sequence of int
+        Of numpy's default generator: the stream begins with its first number.
     kind : {"standard_normal", "random"}
         Normal with mean 0 and variance 1, or uniform in [0, 1).
 
@@ -94,13 +94,11 @@ class Draws:
     """
 
     # A number depends on its index alone; these are a cache.
-    SCRATCH = frozenset({"_generator", "_draw", "_before", "_rows", "at_hand"})
+    SCRATCH = frozenset({"_generator", "_before", "_rows", "at_hand"})
 
-    def __init__(self, stream: Callable[[], np.random.Generator], kind: Literal["standard_normal", "random"]) -> None:
-        self._stream, self._kind = stream, kind
-        self._generator = stream()
-        self._draw: Callable[[int], Any] = getattr(self._generator, kind)
-        self._before = [self._generator.bit_generator.state]
+    def __init__(self, seeds: Sequence[int], kind: Literal["standard_normal", "random"]) -> None:
+        self._seeds, self._kind = tuple(seeds), kind
+        self._before: list[Any] = [None]  # the state before each row; that before the first is set with the generator
         self._rows: dict[int, list[float]] = {}
         self.at_hand: Window | None = None
 
@@ -119,13 +117,13 @@ class Draws:
     @property
     def words(self) -> tuple[int, int]:
         """State of the generator before the first number, and its increment: 128 bits each (PCG64)."""
-        state: Any = self._before[0]
+        state: Any = self._stream().bit_generator.state
         return state["state"]["state"], state["state"]["inc"]
 
     @property
-    def _key(self) -> tuple[str, str]:
+    def _key(self) -> tuple[Any, ...]:
         """Return all that determines the numbers."""
-        return self._kind, repr(self._before[0])
+        return self._kind, self._seeds
 
     def first(self, count: int) -> NDArray[np.float64]:
         """Return the first `count` numbers, shape (count,); they must not be changed."""
@@ -141,13 +139,26 @@ class Draws:
         result: Callable[[int], NDArray[np.float64]] = getattr(self._stream(), self._kind)
         return result
 
+    def _stream(self) -> np.random.Generator:
+        """Return a new generator at the beginning of the stream."""
+        import numpy as np
+
+        return np.random.default_rng(self._seeds)
+
+    # To make a generator takes a tenth of a millisecond, and in most runs of a study all numbers are at hand.
+    @cached_property
+    def _generator(self) -> np.random.Generator:
+        result = self._stream()
+        self._before[:1] = [result.bit_generator.state]
+        return result
+
     def _drawn(self, n: int) -> list[float]:
         """Draw row n, and first all rows before it that have not been drawn yet."""
-        bits = self._generator.bit_generator
 
         def draw(m: int) -> tuple[Any, Any]:
-            bits.state = self._before[m]
-            return self._draw(SIZE).tolist(), bits.state
+            generator: Any = self._generator
+            generator.bit_generator.state = self._before[m]
+            return getattr(generator, self._kind)(SIZE).tolist(), generator.bit_generator.state
 
         for m in range(min(n, len(self._before) - 1), n + 1):
             # Only the first rows are kept for other runs, so what is kept does not grow with the length of a run. Two

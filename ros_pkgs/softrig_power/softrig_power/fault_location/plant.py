@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, Values, button, param, vector3
 from softrig_core.kit.draws import Draws
@@ -86,9 +85,7 @@ class LinePlant(Plant[LinePlantParams]):
         self._begin.moved(0, 1)
         self._level = line.noise_level().tolist()
         # by the numbers that seed it: nothing else decides it
-        self._noise: Newest[int, Draws] = Newest(
-            lambda seed: Draws(lambda: np.random.default_rng([p.measurement.seed, seed]), "standard_normal")
-        )
+        self._noise: Newest[int, Draws] = Newest(lambda seed: Draws((p.measurement.seed, seed), "standard_normal"))
 
     def first(self) -> State:
         """Begin a record in the steady state."""
