@@ -77,7 +77,7 @@ def test_the_data_of_a_picture_has_units_in_its_header(run, tmp_path):
 def test_a_report_draws_what_the_run_did_not(run, tmp_path):
     assert main(["report", str(run), "--out", str(tmp_path / "one.html")]) == 0
     page = (tmp_path / "one.html").read_text()
-    assert page.count("<img") == len(rig_of_run(run)[0].scenario.plots) + 1
+    assert page.count("<figure>") == len(rig_of_run(run)[0].scenario.plots) + 1
     assert "This run has no pictures" not in page
 
 
