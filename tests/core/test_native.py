@@ -39,7 +39,7 @@ from softrig_core import (
 )
 from softrig_core.block.loop import Loop
 from softrig_core.kit.jit import our_numba
-from softrig_core.native import engine, fitted
+from softrig_core.native import engine, fitted, translate
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
 from softrig_core.native.rig_text import rig_text
@@ -609,9 +609,13 @@ def test_variants_share_a_text_and_other_rigs_do_not() -> None:
 
 
 @pytest.mark.parametrize(("name", "called"), [("induction_dtc", 0), ("manipulator_adsmc", 1)])
-def test_the_text_contains_what_a_casadi_function_of_arithmetic_computes(name: str, called: int) -> None:
+def test_the_text_contains_what_a_short_casadi_function_of_arithmetic_computes(
+    name: str, called: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = rig_text(core(rig_of(name)), [])
     assert [len(text.program.scratches) > 0, "ctypes" in text.text] == [called, called]
+    monkeypatch.setattr(translate, "FORMULA", 100)
+    assert "ctypes" in rig_text(core(rig_of(name)), []).text
     assert "ctypes" in rig_text(core(rig_of(name)), [], typed=False).text  # Python calls both
 
 

@@ -29,6 +29,9 @@ from .reports import Reports
 from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value, is_made_text, mapped
 
 TURNS = 16  # of a loop that is written out
+# Statements of a casadi function that are written into the text, at most. Each takes a millisecond to compile, and
+# beside more of them a call takes next to no time.
+FORMULA = 500
 SMALL = 4096  # smaller whole numbers (counts, places) choose the text; larger ones (times in ns) are slots
 GIVEN_UP = "raise RuntimeError"
 
@@ -171,8 +174,9 @@ class Program:
         symbol = compiled.symbol
         assert symbol is not None
         # A call takes a fifth of a tick of a drive, since all numbers leave their registers, so native code contains
-        # simple arithmetic itself. Python calls it, and exported code has casadi's C in a file of its own.
-        formula = compiled.arithmetic if self.typed and not self.inferred else []
+        # short arithmetic itself. Python calls it, and exported code has casadi's C in a file of its own.
+        written_out = self.typed and not self.inferred and len(compiled.arithmetic) <= FORMULA
+        formula = compiled.arithmetic if written_out else []
         memory = () if formula else (self.scratch(path),)
         if symbol not in self.callers:
             self.callers[symbol] = name = f"call{len(self.callers)}"
