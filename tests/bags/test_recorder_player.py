@@ -478,12 +478,16 @@ def test_a_replay_does_not_start_with_two_publishers_of_the_answer(listener, law
     assert player.sent == 0
 
 
-def call(node, service: str) -> None:
-    client = node.create_client(Trigger, service)
+def ask(node, service: str, kind, **fields):
+    client = node.create_client(kind, service)
     until(lambda: node.turn() or client.service_is_ready(), service)
-    future = client.call_async(Trigger.Request())
+    future = client.call_async(kind.Request(**fields))
     until(lambda: node.turn() or future.done(), f"answer of {service}")
-    assert future.result().success
+    return future.result()
+
+
+def call(node, service: str) -> None:
+    assert ask(node, service, Trigger).success
 
 
 def test_pause_step_resume_span_remap_and_clock(rig, listener, tmp_path):
@@ -601,14 +605,6 @@ def test_compare_and_bag_on_the_command_line(tmp_path, monkeypatch, capsys):
     assert main_bag(["repair", "a", "--out", "whole"]) == 0
     assert "450 messages in" in capsys.readouterr().out
     assert main_compare(["whole", "b", "--abs", "0.2"]) == 0
-
-
-def ask(node, service: str, kind, **fields):
-    client = node.create_client(kind, service)
-    until(lambda: node.turn() or client.service_is_ready(), service)
-    future = client.call_async(kind.Request(**fields))
-    until(lambda: node.turn() or future.done(), f"answer of {service}")
-    return future.result()
 
 
 @pytest.mark.long

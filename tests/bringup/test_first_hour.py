@@ -282,16 +282,13 @@ def test_the_package_runs_in_real_time_and_passes_its_own_tests(user, package):
     assert "3 tests, 0 errors, 0 failures, 0 skipped" in out
 
 
-@pytest.mark.parametrize("name", ["Heater", "2heater", "heat-er", "heat__er", "numpy", "json", "class", "..", ""])
-def test_a_name_that_cannot_be_a_package_is_refused(tmp_path, name):
-    with pytest.raises(ScenarioError, match="package name"):
-        new_package(name, tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_smc_b2_delta1"])
-def test_a_name_that_an_existing_scenario_has_is_refused(tmp_path, name):
-    with pytest.raises(ScenarioError, match=rf"`run {name}` is a scenario already \(dc_motor_smc"):
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [(n, "package name") for n in ("Heater", "2heater", "heat-er", "heat__er", "numpy", "json", "class", "..", "")]
+    + [(n, rf"`run {n}` is a scenario already \(dc_motor_smc") for n in ("dc_motor_smc", "dc_motor_smc_b2_delta1")],
+)
+def test_a_name_that_cannot_be_a_package_or_is_that_of_a_scenario_is_refused(tmp_path, name, message):
+    with pytest.raises(ScenarioError, match=message):
         new_package(name, tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -260,32 +260,17 @@ def seeds(name):
 
 
 @pytest.mark.long
-def test_packets_under_pi():
-    result = seeds("tcp_aqm_smc_s4")
-    assert result["mean_queue"] == pytest.approx(120.0, abs=8.0)
-    assert result["deviation"] == pytest.approx(34.0, abs=10.0)
-    assert result["mean_window"] == pytest.approx(14.75, abs=0.3)
-    assert result["mean_p"] == pytest.approx(0.0090, abs=0.001)
-    assert result["utilisation"] == pytest.approx(0.952, abs=0.005)
-    assert result["J_q"] == pytest.approx(2950.0, rel=0.15)
-
-
-@pytest.mark.long  # the scenario also has the published deviation
-def test_packets_under_sspd_with_the_gains_of_the_paper():
-    result = seeds("tcp_aqm_smc_s4_sspd")
-    assert result["deviation"] == pytest.approx(54.0, abs=6.0)
-    assert result["mean_queue"] == pytest.approx(55.0, abs=10.0)
-    assert result["utilisation"] == pytest.approx(0.893, abs=0.015)
-
-
-@pytest.mark.long
-def test_packets_under_sspd_with_gains_for_the_delay():
-    result = seeds("tcp_aqm_smc_s4_detuned")
-    assert result["mean_queue"] == pytest.approx(102.0, abs=12.0)
-    assert result["deviation"] == pytest.approx(25.0, abs=6.0)
-    assert result["J_q"] == pytest.approx(2220.0, rel=0.15)
-    assert result["utilisation"] == pytest.approx(0.952, abs=0.005)
-    assert result["J_q"] < seeds("tcp_aqm_smc_s4")["J_q"]  # compared with the scenario of the stretch
+def test_packets_over_seeds():
+    near = pytest.approx
+    pi, published, detuned = (seeds(f"tcp_aqm_smc_s4{case}") for case in ("", "_sspd", "_detuned"))
+    assert (pi["mean_queue"], pi["deviation"]) == (near(120.0, abs=8.0), near(34.0, abs=10.0))
+    assert (pi["mean_window"], pi["mean_p"]) == (near(14.75, abs=0.3), near(0.0090, abs=0.001))
+    assert (pi["utilisation"], pi["J_q"]) == (near(0.952, abs=0.005), near(2950.0, rel=0.15))
+    assert (published["mean_queue"], published["deviation"]) == (near(55.0, abs=10.0), near(54.0, abs=6.0))
+    assert published["utilisation"] == near(0.893, abs=0.015)
+    assert (detuned["mean_queue"], detuned["deviation"]) == (near(102.0, abs=12.0), near(25.0, abs=6.0))
+    assert (detuned["utilisation"], detuned["J_q"]) == (near(0.952, abs=0.005), near(2220.0, rel=0.15))
+    assert detuned["J_q"] < pi["J_q"]  # compared with the scenario of the stretch
 
 
 def test_dropping_instead_of_marking_loses_packets():

@@ -309,20 +309,16 @@ def pendulum(tmp_path, dynamics="", effort=1e3, **more):
     return ByHand(ManipulatorPlant(urdf=str(file), joints=("hinge",), motors=motors, **more))
 
 
-def test_damping_of_the_file_slows_a_wheel_down_as_its_exponential(tmp_path):
-    """I v' = -d v: v = v0 exp(-d t/I), with I = 0.5 kg m^2."""
-    p = pendulum(tmp_path, '<dynamics damping="0.4"/>', velocity=[0.5])
+@pytest.mark.parametrize(
+    ("dynamics", "v0", "v"),
+    [('damping="0.4"', 0.5, 0.5 * math.exp(-0.4 / 0.5)), ('friction="0.1"', 0.9, 0.9 - 0.1 / 0.5)],
+)
+def test_damping_and_friction_of_the_file_slow_a_wheel_down(tmp_path, dynamics, v0, v):
+    """I v' = -d v: v = v0 exp(-d t/I), and I v' = -F above the edge speed: v = v0 - F t/I; I = 0.5 kg m^2."""
+    p = pendulum(tmp_path, f"<dynamics {dynamics}/>", velocity=[v0], edge_speed=0.02)
     for k in range(1000):
         p.advance(k * 10**6, motor_command=(0.0,))
-    assert p.x.v[0] == pytest.approx(0.5 * math.exp(-0.4 / 0.5), rel=1e-7)
-
-
-def test_friction_of_the_file_slows_a_wheel_down_evenly(tmp_path):
-    """I v' = -F above the edge speed: v = v0 - F t/I."""
-    p = pendulum(tmp_path, '<dynamics friction="0.1"/>', velocity=[0.9], edge_speed=0.02)
-    for k in range(1000):
-        p.advance(k * 10**6, motor_command=(0.0,))
-    assert p.x.v[0] == pytest.approx(0.9 - 0.1 / 0.5, rel=1e-7)
+    assert p.x.v[0] == pytest.approx(v, rel=1e-7)
 
 
 def test_friction_too_steep_for_the_step_is_refused_with_the_needed_substeps(tmp_path):
