@@ -535,7 +535,7 @@ def _rows_in(content: memoryview, width: int) -> NDArray[Any]:
     """Return the whole rows at the beginning of some bytes, shape (n,), see `row_type`."""
     kind = row_type(width)
     rows = np.frombuffer(content, kind, len(content) // kind.itemsize)
-    # Anything else in the place of the mark begins a record of anodd kind.
+    # Anything else in the place of the mark begins a record of an unknown kind.
     odd = np.flatnonzero(rows["mark"] != _ROW)
     return rows[: odd[0]] if odd.size else rows
 
