@@ -415,7 +415,7 @@ def test_there_is_no_recursion_no_dynamic_memory_and_no_compiler_warning(law):
         (
             "gupfc_s5",
             "pulse_generator",
-            ["cannot be exported as C", "PulseGenerator, line 33: ", "gupfc.pulses.gates, line"],
+            ["cannot be exported as C", "PulseGenerator, line 32: ", "gupfc.pulses.gates, line"],
         ),
         ("economic_dispatch", "dispatch_solver", ["cannot be exported as C", "DispatchSolver, line", "it is a solver"]),
     ],

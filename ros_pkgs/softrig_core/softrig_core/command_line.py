@@ -171,3 +171,10 @@ class Parser(argparse.ArgumentParser):
         verb = self.prog.partition(" ")[2]
         prefix = f"{verb}: " if verb else ""
         raise ScenarioError(f"{prefix}{message}; `{self.prog} --help` shows what there is")
+
+
+def export_parser(kind: str, description: str) -> Parser:
+    """Create the parser of ``softrig export KIND``, whose first argument is a scenario."""
+    parser = Parser(prog=f"softrig export {kind}", description=description)
+    parser.add_argument("scenario", help="name or YAML file")
+    return parser

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..command_line import Parser
+from ..command_line import export_parser
 from ..errors import ScenarioError
 from ..guard import write_files
 from ..native.value import NotNative
@@ -128,11 +128,7 @@ def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False
 
 def main(arguments: Sequence[str]) -> int:
     """Run the verb."""
-    parser = Parser(
-        prog="softrig export c",
-        description="Nodes of a scenario as C99, with golden rows and a program that replays them.",
-    )
-    parser.add_argument("scenario", help="name or YAML file")
+    parser = export_parser("c", "Nodes of a scenario as C99, with golden rows and a program that replays them.")
     parser.add_argument(
         "nodes", nargs="*", metavar="NODE", help="of the scenario, with its parameters there; none: the whole rig"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, register_namespace, tostring
 
 from ..block.port import Port
-from ..command_line import Parser
+from ..command_line import export_parser
 from ..errors import ScenarioError
 from ..guard import write_files
 from ..native.value import NotNative
@@ -247,11 +247,9 @@ def _type(parent: Element, kind: str) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the verb."""
-    parser = Parser(
-        prog="softrig export st",
-        description="Controllers of a scenario as function blocks in structured text (IEC 61131-3), for a PLC.",
+    parser = export_parser(
+        "st", "Controllers of a scenario as function blocks in structured text (IEC 61131-3), for a PLC."
     )
-    parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("nodes", nargs="+", metavar="NODE", help="controllers, with their parameters in the scenario")
     parser.add_argument("--format", choices=FORMATS, default="st", help="text, TwinCAT's files or PLCopen XML (st)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (./NODE)")

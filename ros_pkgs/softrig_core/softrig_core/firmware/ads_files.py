@@ -8,7 +8,7 @@ from pathlib import Path
 from ..block.block import Plant
 from ..block.port import Port
 from ..board.dbc import build_of
-from ..command_line import Parser
+from ..command_line import export_parser
 from ..errors import ScenarioError
 from ..export.golden import member_of
 from ..export.kinds import identifier
@@ -112,11 +112,7 @@ def _fields(ports: Sequence[Port], flag: str) -> list[tuple[str, str]]:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the verb ``export ads``."""
-    parser = Parser(
-        prog="softrig export ads",
-        description="The program by which a PLC (TwinCAT) answers the ticks of a node of a rig over ADS.",
-    )
-    parser.add_argument("scenario", help="name or YAML file")
+    parser = export_parser("ads", "The program by which a PLC (TwinCAT) answers the ticks of a node of a rig over ADS.")
     parser.add_argument("node", metavar="NODE", help="of the scenario, with its parameters there")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (./NODE)")
     parser.add_argument(

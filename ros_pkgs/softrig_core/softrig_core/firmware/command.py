@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..board.dbc import build_of, printed
-from ..command_line import Number, Parser
+from ..command_line import Number, Parser, export_parser
 from ..errors import ScenarioError
 from ..export.golden import member_of
 from ..run.expand import rig_of
@@ -41,8 +41,7 @@ def cortex_m(arguments: Sequence[str]) -> int:
 
 def dbc(arguments: Sequence[str]) -> int:
     """Run the verb ``export dbc``."""
-    parser = Parser(prog="softrig export dbc", description="The ports of a node as the signals of a CAN bus.")
-    parser.add_argument("scenario", help="name or YAML file")
+    parser = export_parser("dbc", "The ports of a node as the signals of a CAN bus.")
     parser.add_argument("node", metavar="NODE", help="of the scenario")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the DBC (./NODE.dbc)")
     parser.add_argument("--id", default="0x100", help="identifier of the first message (0x100); the next ones follow")
@@ -71,8 +70,7 @@ def dbc(arguments: Sequence[str]) -> int:
 
 
 def _parser(verb: str, description: str) -> Parser:
-    parser = Parser(prog=f"softrig export {verb}", description=description)
-    parser.add_argument("scenario", help="name or YAML file")
+    parser = export_parser(verb, description)
     parser.add_argument("node", metavar="NODE", help="of the scenario, with its parameters there")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (./NODE)")
     parser.add_argument(

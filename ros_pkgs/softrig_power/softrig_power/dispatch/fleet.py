@@ -6,29 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import field_validator
 from softrig_core import BlockParams, Plant, Port, Values, command, joint_state, param, scalars, state_type
 
-from .units import Units
+from .units import Units, UnitTable
 
 
-class FleetParams(BlockParams):
+class FleetParams(UnitTable, BlockParams):
     """Units and how fast they move."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=86400.0)
-    unit_table: str = param(
-        "units_13",
-        "table of the units: a name of this package's, a file or a package:// URI; 25*units_40: each unit 25 times",
-    )
     ramp: float = param(
         0.0, "fastest change of a unit's output; 0: none, as in the paper", "MW/s", ge=0.0, le=1e6, live=True
     )
-
-    @field_validator("unit_table")
-    @classmethod
-    def _readable(cls, source: str) -> str:
-        Units.read(source)
-        return source
 
 
 class UnitFleet(Plant[FleetParams]):

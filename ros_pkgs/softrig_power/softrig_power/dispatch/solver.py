@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import field_validator
 from softrig_core import (
     Jobs,
     Level,
@@ -30,17 +29,13 @@ from .conditions import Conditions, Losses
 from .enumeration import TooManyError, enumerate_kinks
 from .table_file import TableError
 from .two_stage import NoDispatch, arch_bounds
-from .units import Units, infeasible, marginal_cost
+from .units import Units, UnitTable, infeasible, marginal_cost
 
 
-class DispatchParams(SolverParams):
+class DispatchParams(UnitTable, SolverParams):
     """Units, method and limits."""
 
     period: float = param(1.0, "sampling period: how often a demand is looked for", "s", gt=0.0, le=86400.0)
-    unit_table: str = param(
-        "units_13",
-        "table of the units: a name of this package's, a file or a package:// URI; 25*units_40: each unit 25 times",
-    )
     demand: float = param(0.0, "demand until a message arrives; 0: none", "MW", ge=0.0, le=1e7)
     method: Method = param("certified", "two_stage (the paper's), certified, enumeration or baseline")
     algorithm: Baseline = param("pso", "search of the baseline")
@@ -56,12 +51,6 @@ class DispatchParams(SolverParams):
     loss_table: str = param("", "table of B coefficients (a file or a package:// URI); empty: no losses")
     reserve: float = param(0.0, "spinning reserve asked for", "MW", ge=0.0, le=1e7)
     warm_start: bool = param(True, "begin with the last dispatch")
-
-    @field_validator("unit_table")
-    @classmethod
-    def _readable(cls, source: str) -> str:
-        Units.read(source)
-        return source
 
     def _check(self) -> None:
         units = Units.read(self.unit_table)

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from softrig_core import Array, ScenarioError, resource
+from pydantic import field_validator
+from softrig_core import Array, Params, ScenarioError, param, resource
 from softrig_core.errors import closest
 
 from .table_file import UNITS, TableError, read_rows
@@ -233,6 +234,21 @@ class Units:
             members = np.flatnonzero(self.groups == group)
             P[members] = np.sort(P[members])[::-1]
         return P
+
+
+class UnitTable(Params):
+    """The units of a block; a table that cannot be read is refused with the parameters."""
+
+    unit_table: str = param(
+        "units_13",
+        "table of the units: a name of this package's, a file or a package:// URI; 25*units_40: each unit 25 times",
+    )
+
+    @field_validator("unit_table")
+    @classmethod
+    def _readable(cls, source: str) -> str:
+        Units.read(source)
+        return source
 
 
 def cost_of(rows: Array, P: ArrayLike) -> Array:
