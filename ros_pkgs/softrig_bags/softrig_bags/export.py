@@ -20,7 +20,7 @@ from .files.reader import BagReader
 from .read import epoch_of, report_left_out
 from .tables import Columns, Growing, Piece
 
-ROWS = 1 << 14  # that are written at a time
+ROWS = 1 << 14  # rows that are written at a time
 FORMATS = ("csv", "parquet", "mat")
 # MATLAB cuts names of variables beyond this number of letters.
 LONGEST = 63
@@ -138,7 +138,7 @@ class _TopicFile:
     def __init__(self, path: Path, epoch: int) -> None:
         self.path, self._epoch = path, epoch
         self._parts: list[Path] = []
-        self._kinds: dict[str, Any] = {}  # types by label
+        self._kinds: dict[str, Any] = {}  # type of each label
         self._waiting = Growing(2 * ROWS, exact=True)
         self._writer: Any = None
 

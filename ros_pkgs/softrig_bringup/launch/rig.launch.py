@@ -45,7 +45,7 @@ def _end_in_order(context, launched):
             context.emit_event_sync(ending)
 
         manager.handle(signal.SIGTERM, end)
-        signal.signal(signal.SIGTERM, lambda number, frame: None)  # the manager hears of it
+        signal.signal(signal.SIGTERM, lambda number, frame: None)  # the process manager gets the signal, too
 
 
 def _nodes(context):

@@ -24,7 +24,7 @@ from .verbs import declared
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-pin()  # nor on the CPU
+pin()  # nor on the type of CPU
 join_prefix()
 
 # with a command line of their own: (module, function, text)
@@ -116,7 +116,8 @@ MEANT = {
     "install": "softrig setup",
     "ros2": "softrig env ros2",
 }
-_STOPPABLE = ("verbs.study_verb", "verbs.check", "verbs.falsify_verb")  # others listen where they run a rig
+# These verbs stop in order; others react to signals only where they run a rig.
+_STOPPABLE = ("verbs.study_verb", "verbs.check", "verbs.falsify_verb")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -128,7 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _verb(arguments: list[str]) -> int:
-    asks = "_ARGCOMPLETE" in os.environ  # a shell, with nothing but this: what may the last word become?
+    asks = "_ARGCOMPLETE" in os.environ  # the shell asks for completions of the last word
     if asks:
         from .terminal import completion
 
@@ -166,7 +167,7 @@ def _verb(arguments: list[str]) -> int:
     with quietly() if getattr(options, "quiet", False) else nullcontext():
         try:
             return int(options.verb(options))
-        except SystemExit as error:  # raised in code of a user: its status would be that of this command
+        except SystemExit as error:  # code of a user may raise it, and its status would then be that of this command
             raise RunError(f"code that `softrig {options.words[0]}` called has ended it: {describe(error)}") from error
 
 
@@ -247,7 +248,7 @@ def make_parser(asked: str = "") -> argparse.ArgumentParser:
             return _Unasked()
         sub: argparse.ArgumentParser = among.add_parser(name, help=text, description=text, **options)
         sub.set_defaults(verb=partial(_late, function))
-        if name != "node":  # whose words are those of the executable
+        if name != "node":  # the arguments of `node` belong to the executable
             sub.add_argument(
                 "-q",
                 "--quiet",

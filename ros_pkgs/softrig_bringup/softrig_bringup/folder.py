@@ -18,8 +18,8 @@ from softrig_core.guard import keep_traceback, naming, replace
 from softrig_core.kit.file_format import json_object, json_of
 
 MANIFEST = "softrig_files.json"
-UNDER_WAY = "*"  # for a list: a run has begun here and not ended, all that a run may write is its own; then its `once`
-NEW = ".new"  # where new files lie until all are written
+UNDER_WAY = "*"  # mark of a folder whose run has begun and not ended; it contains the run's `once`
+NEW = ".new"  # folder of new files until all are written
 RUN = re.compile(
     r"bag|log|left_\d+\.yaml|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
 )
@@ -76,7 +76,7 @@ class ResultsFolder:
         self._lock: int | None = None
         if path.exists() and not path.is_dir():
             raise ScenarioError(f"{path} is a file, expected a folder for the results")
-        for mark, kind in MARKS.items():  # hours of runs are not for a word's worth of another kind
+        for mark, kind in MARKS.items():  # results of another kind may have taken hours, so they are not replaced
             if not pattern.fullmatch(mark) and (path / mark).exists():
                 raise ScenarioError(f"{path} holds a {kind}; choose another --out, or remove it")
         self._old = _listed(path)
@@ -189,7 +189,7 @@ class ResultsFolder:
         try:
             yield
         except (ScenarioError, RunError, OSError, MemoryError):
-            raise  # told in one line
+            raise  # the caller reports it in one line
         except Exception as error:
             traceback = Path(keep_traceback(self.path / "log"))
             if traceback.is_relative_to(self.path):
@@ -213,7 +213,7 @@ class ResultsFolder:
         """
         self.begin()
         new = self.path / NEW
-        shutil.rmtree(new, ignore_errors=True)  # of a call that was killed
+        shutil.rmtree(new, ignore_errors=True)  # a killed call has left it
         new.mkdir()
         try:
             with naming(self.path):
@@ -265,7 +265,7 @@ def alone_in(path: Path) -> Iterator[None]:
 def _lock(path: Path) -> int | str:
     """Create and lock a folder; return the descriptor that holds the lock, or a description of the present holder."""
     path.mkdir(parents=True, exist_ok=True)
-    lock = os.open(path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
+    lock = os.open(path, os.O_RDONLY)  # the lock is released when this process ends, for any reason
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

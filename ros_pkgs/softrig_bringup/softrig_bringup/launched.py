@@ -133,7 +133,7 @@ class Launched:
         self._error, self._stopped = "", False
         self._namespace = arguments["namespace"].strip("/")
         self._variables: dict[str, str] = {}
-        if not os.environ.get(VARIABLE):  # nobody is taken for dead before the scenario's patience is over
+        if not os.environ.get(VARIABLE):  # nodes wait for a silent peer as long as the timeout of the scenario
             self._variables[VARIABLE] = str(patient(default_profile(), self._log, rig.scenario.timeout))
         self.processes = [
             self._process(group, self._namespace, arguments["wait_for"].split())
@@ -205,7 +205,7 @@ class Launched:
         """Finish when all processes have ended; return why the launch ends with a failure."""
         rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
-        with undisturbed() as arrived:  # what was recorded is not lost while it is gathered
+        with undisturbed() as arrived:  # a signal must not interrupt the gathering of the recording
             recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
         if arrived and not self._stopped:
             self._stopped, self.sent = True, signal.Signals(arrived[0])

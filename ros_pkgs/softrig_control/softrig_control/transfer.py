@@ -157,7 +157,7 @@ def sample_transfer_function(num: Sequence[float], den: Sequence[float], period:
     return sampled_exactly(tuple(num), tuple(den), period)[0]
 
 
-@lru_cache(maxsize=64)  # a rig samples a plant once to check its parameters, and once to run
+@lru_cache(maxsize=64)  # cached, because a rig samples a plant to check its parameters and again to run
 def sampled_exactly(num: tuple[float, ...], den: tuple[float, ...], period: float) -> tuple[Sampled, Exact]:
     """Sample as `sample_transfer_function`; return the system in floats, and without rounding."""
     if not den or den[0] == 0.0:

@@ -13,7 +13,7 @@ from .bits import pin
 from .interrupt import quiet_imports
 from .needs import check, is_executable, join_prefix
 
-if is_executable():  # this process is a node: who imports the package elsewhere finds everything as it was
+if is_executable():  # other processes that import the package keep their settings
     quiet_imports()
     pin()  # before numpy is loaded
     join_prefix()

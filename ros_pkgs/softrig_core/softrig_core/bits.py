@@ -13,7 +13,7 @@ from functools import cache
 
 CORE, SIMD = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
 PINS = {CORE: "Haswell", SIMD: "X86_V4 AVX512_ICL AVX512_SPR"}
-ARGUMENTS = 1000  # of each function in the digest
+ARGUMENTS = 1000  # arguments of each function in the digest
 # functions that decide numbers: of `math`, each with its interval; of `cmath`; of two arguments
 FUNCTIONS = {
     "sin": (-40.0, 40.0),

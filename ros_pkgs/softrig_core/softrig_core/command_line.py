@@ -53,7 +53,7 @@ def named(text: str, option: str, form: str) -> tuple[str, str]:
     name, _, value = (part.strip() for part in text.partition("="))
     if not (name and value):
         raise ScenarioError(f"{option} {text!r}: expected NAME={form}")
-    if name.endswith(":"):  # as ROS remaps
+    if name.endswith(":"):  # the syntax of ROS remapping
         raise ScenarioError(f"{option} {text!r}: expected {name[:-1]}={value}, without the colon of ros2")
     return name, value
 

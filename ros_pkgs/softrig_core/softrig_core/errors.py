@@ -16,7 +16,7 @@ class ScenarioError(ValueError):
 class RunError(RuntimeError):
     """A run failed while it ran; the text names the node and topic (exit status 3)."""
 
-    node = ""  # whose block it was, if it was one
+    node = ""  # node of the block, if a block raised the error
 
 
 class Impure(RunError):
@@ -70,10 +70,10 @@ def closest(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest of some names, as the end of a message."""
     from difflib import get_close_matches
 
-    folded = {n.casefold(): n for n in known}  # a capital letter is the most likely mistake of all
+    folded = {n.casefold(): n for n in known}  # wrong capital letters are the most frequent mistake
     word = name.casefold()
     near = get_close_matches(word, list(folded), 1)
-    if not near and len(word) > 2:  # a part of it: `velocity` of motor/state/shaft/velocity
+    if not near and len(word) > 2:  # the word may be a part of a name, as `velocity` of motor/state/shaft/velocity
         near = sorted((n for n in folded if word in n), key=len)[:1]
     return f" (did you mean {folded[near[0]]!r}?)" if near else ""
 
@@ -82,7 +82,7 @@ def nearby(path: Path) -> str:
     """Suggest existing results for a path that does not exist, as the end of a message."""
     from difflib import get_close_matches
 
-    if (results := Path("runs", path.name)).exists():  # where results are written without --out
+    if (results := Path("runs", path.name)).exists():  # folder of results without --out
         return f" (did you mean {str(results)!r}?)"
     folder = path.parent
     near = get_close_matches(path.name, [p.name for p in folder.iterdir()], 1) if folder.is_dir() else []

@@ -78,7 +78,7 @@ def _guarded(work: Callable[[], int]) -> int:
         own_error = type(error) is not ScenarioError or error.__cause__ is None
         print_line(error if own_error else f"{error}; the traceback is in {keep_traceback()}")
         return 2
-    except BrokenPipeError:  # whoever read our output has enough
+    except BrokenPipeError:  # the reader of the output has ended, as `head` does
         return 141
     except OSError as error:
         print_line(f"{error.filename}: {error.strerror}" if error.filename is not None else error)
@@ -118,7 +118,7 @@ def stopped_by(error: KeyboardInterrupt) -> str:
 
 def end_within(seconds: float, status: int) -> None:
     """End the process after some time, even if threads or processes of a user's code are still running."""
-    known: Any = sys.modules.get("multiprocessing")  # else there are none of its processes
+    known: Any = sys.modules.get("multiprocessing")  # without this module the process has started no others
     running = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
     running += known.active_children() if known else []
     names = ", ".join(thread.name for thread in running if not thread.daemon)
@@ -249,7 +249,7 @@ def secure_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is that of the closed stream
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         stream: Any = getattr(sys, name)
         if stream is None:

@@ -159,7 +159,8 @@ def usage(name: str, block_class: type[Block]) -> str:
 def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     """Declare all parameters with descriptions and ranges, and validate the given values."""
     # rclpy gives an empty list in a file no type, so nothing can be declared from the raw override
-    absent = {d.name for d in declarations(block_class.Params) if d.default is None}  # those that may have no value
+    # Parameters that may have no value.
+    absent = {d.name for d in declarations(block_class.Params) if d.default is None}
     values = {name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in overrides(node).items()}
     values = {name: value for name, value in values.items() if not (name in absent and value in ([], "null"))}
     for name in ("use_sim_time", "start_type_description_service"):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .urdf_file import Joint
 
 Vector = tuple[float, ...]
-LARGEST_STEP = 2.5  # of the armature's time constants; at 2.785 RK4 does not decay any more
+LARGEST_STEP = 2.5  # in the armature's time constants; from 2.785 on RK4 does not decay
 
 
 class Motors(Params):

@@ -101,7 +101,7 @@ def fastest_rubbing(model: pin.Model, q: Sequence[float], rubbing: Sequence[floa
         Friction of each joint, N m s/rad.
     """
     n = model.nv
-    M = np.reshape(pin.crba(model, model.createData(), np.array(q)), (n, n))  # of one joint alone it is a vector
+    M = np.reshape(pin.crba(model, model.createData(), np.array(q)), (n, n))  # for one joint the result is a vector
     M = np.triu(M) + np.triu(M, 1).T
     return float(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, np.diag(rubbing))))))
 

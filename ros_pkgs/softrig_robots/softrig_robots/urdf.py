@@ -194,7 +194,7 @@ def read_urdf(source: str) -> str:
         text = data.decode(encoding)
     except (UnicodeDecodeError, LookupError):
         raise ValueError(f"{source}: its bytes are not {encoding}; name it in <?xml ... encoding=...?>") from None
-    return re.sub(r"^(<\?xml[^>]*?)\s+encoding=(['\"]).*?\2", r"\1", text)  # which a text no longer has
+    return re.sub(r"^(<\?xml[^>]*?)\s+encoding=(['\"]).*?\2", r"\1", text)  # a text has no encoding any more
 
 
 def root_link(urdf: str) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 
 _TOKEN = re.compile(
-    r"\s+|//[^\n]*|/\*.*?\*/|^[ \t]*\#[^\n]*"  # what is left out, directives of the preprocessor too
+    r"\s+|//[^\n]*|/\*.*?\*/|^[ \t]*\#[^\n]*"  # comments and directives of the preprocessor, which the reader skips
     r'|(?P<token>"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])+\'|::|[A-Za-z_]\w*|[-+]?(?:\d|\.\d)[\w.]*(?:(?<=[eE])[-+]\d+)?|.)',
     re.DOTALL | re.MULTILINE,
 )
@@ -93,7 +93,7 @@ class IdlReader:
 
     def _struct(self, scope: str) -> None:
         name = self._next()
-        if self._peek() == ";":  # announced
+        if self._peek() == ";":  # a forward declaration has no fields
             return
         self._want("{")
         fields: list[tuple[str, Any]] = []

@@ -83,7 +83,7 @@ class Template:
     leaves: list[Leaf] = field(default_factory=list)
     labels: list[tuple[str, Leaf, int]] = field(default_factory=list)
     omitted: list[str] = field(default_factory=list)
-    stamp_at: int = 0  # where the stamp of its header is; 0 where it has none
+    stamp_at: int = 0  # place of the stamp of its header; 0 without one
 
     def fits(self, rows: Bytes) -> NDArray[np.bool_]:
         """Return which rows of shape (n, length) are messages of this shape."""
@@ -182,9 +182,9 @@ class _Maker:
             raise Undecodable(f"its bytes begin with {data[:4].hex() or 'nothing'}, which is not CDR of ROS 2")
         self._types, self._data, self._wide = types, data, wide
         self._at = 4
-        self._empty = 0  # sequences of numbers of eight bytes
+        self._empty = 0  # bytes of an empty sequence of numbers of eight bytes
         self.template = Template(len(data), order, [(0, data[:2])])
-        self.names: dict[str, tuple[int, str]] = {}  # texts by path: where they are
+        self.names: dict[str, tuple[int, str]] = {}  # place of each text by path
 
     def make(self, msgtype: str) -> Template:
         if msgtype == _STAMPS[1]:

@@ -129,7 +129,7 @@ def _register(msgtype: str) -> bool:
 def _nested(fields: Any) -> set[str]:
     result = set()
     for _, (_, detail) in fields:
-        while not isinstance(detail, str) and not isinstance(detail[0], str):  # an array of something
+        while not isinstance(detail, str) and not isinstance(detail[0], str):  # down to the items of an array
             detail = detail[0][1]
         name = detail if isinstance(detail, str) else detail[0]
         if "/" in name:

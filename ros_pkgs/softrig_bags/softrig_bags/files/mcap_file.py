@@ -83,7 +83,7 @@ class McapFile:
     def _start_chunk(self) -> None:
         self._parts: list[bytes | NDArray[np.uint8]] = []
         self._size = 0
-        self._index: dict[int, array[int]] = {}  # of each topic: time and place of each message, in turn
+        self._index: dict[int, array[int]] = {}  # time and place of each message of a topic, in order
 
     @property
     def size(self) -> int:

@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader
 from .compressed import LIMIT, inflate
 
 _MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")  # of a record: opcode, length
+_HEAD = struct.Struct("<BQ")  # head of a record: opcode, length
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, length of the compression
 _CHUNK_CODE = 0x06
 

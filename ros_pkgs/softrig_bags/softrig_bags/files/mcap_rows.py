@@ -19,7 +19,7 @@ from .mcap_format import MESSAGE
 
 _HEAD = [("code", "u1"), ("length", "<u8"), ("number", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 _HEAD_SIZE = np.dtype(_HEAD).itemsize
-_LENGTH = 22  # bytes of a message's record beside its data
+_LENGTH = 22  # bytes of a message record in front of its data
 
 
 class _Feed:

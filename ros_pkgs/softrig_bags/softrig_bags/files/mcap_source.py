@@ -38,7 +38,7 @@ WINDOW = 1 << 23
 GROUP = 1 << 22
 # MCAP has unsigned times of 64 bits, but they are signed in every ROS API (ns).
 LATEST = 2**63 - 1
-_HEAD = struct.Struct("<BQ")  # of a record: opcode, length
+_HEAD = struct.Struct("<BQ")  # head of a record: opcode, length
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, letters of the compression
 _MESSAGE_HEAD = 31  # bytes of a message record before its data
 _NONE = np.empty(0, np.int64)
@@ -57,7 +57,7 @@ class Part(NamedTuple):
     first: int
     last: int
     size: int  # bytes of its content, uncompressed
-    hint: tuple[int, int] | None = None  # of a chunk: where its message indexes begin and end
+    hint: tuple[int, int] | None = None  # where the message indexes of a chunk begin and end
 
     @property
     def after(self) -> int:

@@ -97,7 +97,7 @@ class BagReader:
         self.metadata = Metadata()
         self._sources: list[McapSource | SqliteSource] = []
         self._expanded: list[Expanded] = []
-        self._numbers: list[dict[int, int]] = []  # of each file: number of its topic there to that here
+        self._numbers: list[dict[int, int]] = []  # for each file: number of a topic in it to its number here
         self._types: dict[int, Types] = {}
         self._counts: list[int] | None = None
         self._start: int | None = None

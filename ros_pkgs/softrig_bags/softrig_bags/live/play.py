@@ -41,7 +41,7 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             if name not in [t.name for t in bag.topics]:
                 raise BagError(f"no topic {name} in {options.bag}; it has {', '.join(t.name for t in bag.topics)}")
         left: dict[str, list[BagTopic]] = {}
-        types: dict[str, str] = {}  # by the name that is published
+        types: dict[str, str] = {}  # type of each topic, by the name that is published
         for topic in chosen:
             live = remap.get(topic.name, topic.name)
             why = _obstacle(topic, live, topic.name in selection.names)

@@ -58,9 +58,9 @@ class Recorder:
         self._stamped = stamped
         self._newest = 0
         self._subscriptions: dict[str, Subscription] = {}
-        self._types: dict[str, str] = {}  # of the subscriptions
-        self._numbers: dict[tuple[str, str], int] = {}  # by topic and type
-        self._refused: dict[tuple[str, str], str] = {}  # topic and type to the reason
+        self._types: dict[str, str] = {}  # types of the subscriptions, by topic
+        self._numbers: dict[tuple[str, str], int] = {}  # number of each topic and type
+        self._refused: dict[tuple[str, str], str] = {}  # why a topic and type is not recorded
         self._left_out: set[str] = set()
         self._joins: dict[tuple[str, str], Join] = {}
         self._events = EventPoll(self._node)

@@ -25,7 +25,7 @@ from .shrink import Case, shrink
 from .space import Over, Space, parse, space_of
 from .words import shown
 
-SHRINKING = 100  # runs that a violation is made small with
+SHRINKING = 100  # runs that may be used to make a violation small
 
 
 @dataclass(frozen=True)

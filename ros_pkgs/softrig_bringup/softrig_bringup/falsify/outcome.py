@@ -103,7 +103,7 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
         content: dict[str, Any] = {"extends": task.scenario, "title": title, "seed": changed.seed}
         content |= {"duration": changed.duration} | ({"nodes": nodes} if nodes else {})
         content |= {"faults": faults} if faults else {}
-        if changed.plots != outcome.space.scenario.plots:  # without what faults that are gone have sent
+        if changed.plots != outcome.space.scenario.plots:  # plots lack the signals of faults that were removed
             content["plots"] = [plot.model_dump(mode="json", exclude_defaults=True) for plot in changed.plots]
         asked = {
             n: changed.requirements[n].model_dump(exclude_defaults=True)

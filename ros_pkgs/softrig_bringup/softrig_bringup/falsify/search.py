@@ -12,14 +12,14 @@ from typing import Any, Literal
 import numpy as np
 
 Point = tuple[float, ...]
-Measure = Callable[[Sequence[Point]], list[float]]  # margins of a batch, NaN for what could not be measured
+Measure = Callable[[Sequence[Point]], list[float]]  # margins of a batch; NaN where a margin could not be measured
 Sampler = Literal["cmaes", "tpe", "random"]
 
-MANY = 1000  # corners that are drawn
+MANY = 1000  # number of drawn corners
 # Points asked for at a time. It is fixed, so that the result does not depend on the number of cores.
 BATCH = 4
-CORNERS, HELD, POLISH = 0.1, 0.1, 0.25  # shares of the budget
-FEW = 2 * BATCH  # corners at least
+CORNERS, HELD, POLISH = 0.1, 0.1, 0.25  # shares of the budget for each kind of candidate
+FEW = 2 * BATCH  # least number of corners
 # Reported for a point that could not be measured, because samplers accept no NaN.
 WORST = 1e300
 

@@ -63,7 +63,7 @@ def _without_faults(space: Space, case: Case) -> Iterator[Case]:
     for name, fault in scenario.faults.items():
         faults = {n: f for n, f in scenario.faults.items() if n != name}
         left = {k: v for k, v in overrides.items() if not k.startswith(f"{name}.")}
-        prefix = f"{fault.link.partition('->')[0].strip()}/{name}/"  # the topic behind it
+        prefix = f"{fault.link.partition('->')[0].strip()}/{name}/"  # prefix of the signals that the fault publishes
         drawn = [(p, {s: label for s, label in p.signals.items() if prefix not in s}) for p in scenario.plots]
         plots = tuple(p.model_copy(update={"signals": signals}) for p, signals in drawn if signals)
         yield scenario.model_copy(update={"faults": faults, "plots": plots}), left

@@ -15,9 +15,9 @@ from softrig_core.wire.signals import Signal
 
 FRAMES = 20  # a second of the film
 LONGEST = 600  # frames
-COMFORTABLE = 8.0  # s of film, of which a loop is not too long to be watched again
+COMFORTABLE = 8.0  # s of film: a loop of this length is still short enough to watch twice
 PAST = 60  # rows of a trail
-STRIP = 30.0  # units below the drawing: time, and how fast it goes
+STRIP = 30.0  # units below the drawing, for the time and the speed of the film
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,11 @@ from softrig_core.drawing.shapes import PALETTE, Circle, Line, Polygon, Shape, T
 
 from .film import FRAMES, Film
 
-LARGEST = 2_000_000  # bytes of a GIF: larger ones are not shown, or not at once, where GIFs are used
-REDUCED = ((64, 1), (32, 1), (32, 2), (16, 3))  # colours, and one of so many frames, until it is small enough
+LARGEST = 2_000_000  # bytes: a longer GIF is shown late or not at all by many programs
+# Number of colours, and n: one of n frames remains; tried in order until the file is small enough.
+REDUCED = ((64, 1), (32, 1), (32, 2), (16, 3))
 FONT = findfont("DejaVu Sans")
-SHARES = {"start": 0.0, "middle": 0.5, "end": 1.0}  # of a text, before its point
+SHARES = {"start": 0.0, "middle": 0.5, "end": 1.0}  # share of a text's width that lies before its point
 
 
 def pixels(film: Film, form: str) -> tuple[bytes, str]:
@@ -76,7 +77,7 @@ def picture(shapes: Sequence[Shape], bounds: tuple[float, float, float, float]) 
     renderer.draw_path(gc, Path.unit_rectangle(), Affine2D().scale(width, height), to_rgb(PALETTE["paper"][0]))
     for shape in shapes:
         if isinstance(shape, Circle) and not shape.radius:
-            continue  # an SVG shows no edge of it either
+            continue  # an SVG does not show the edge of such a circle either
         gc.set_foreground(to_rgb(PALETTE[shape.role][0]))
         if isinstance(shape, Text):
             font = FontProperties(size=shape.size, fname=FONT)

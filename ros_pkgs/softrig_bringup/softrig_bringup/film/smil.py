@@ -16,8 +16,8 @@ from ..page.html import e
 from .film import FRAMES, Film
 from .svg import element, number, points, root
 
-JUMP = 40.0  # units in one frame: what moves so far has not moved there, but begun anew
-SPOKEN = 4  # frames for which a text stays: five a second can be read
+JUMP = 40.0  # units in one frame: a longer way is drawn as a jump, not as a motion
+SPOKEN = 4  # frames for which a text stays: a reader can follow five texts a second
 
 
 def animated(film: Film) -> str:

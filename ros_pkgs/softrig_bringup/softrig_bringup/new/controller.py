@@ -16,8 +16,8 @@ from softrig_core.scenario.yaml_file import write_yaml
 
 from ..view.control import role
 
-PREFERRED = ("law", "command", "observer")  # roles of what may be replaced, the likeliest first
-MANY = 12  # values of a port that are named
+PREFERRED = ("law", "command", "observer")  # roles of nodes that a controller can replace, the likeliest first
+MANY = 12  # values of a port up to which their names are listed
 
 
 class Replaced(NamedTuple):

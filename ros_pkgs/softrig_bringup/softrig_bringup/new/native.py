@@ -76,7 +76,7 @@ def new_native(name: str, folder: Path, language: str, command: str) -> Path:
             with naming(target):
                 target.write_text(text, encoding="utf-8")
     except OSError:
-        rmtree(folder, ignore_errors=True)  # which was not there before
+        rmtree(folder, ignore_errors=True)  # the folder did not exist before
         raise
     return folder / f"{name}.yaml"
 

@@ -18,7 +18,7 @@ from .names import check_names
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SPAN = re.compile(rf"(log )?\s*({NUMBER})\s*\.\.\s*({NUMBER})(?:([*~])(\d+))?")
 FORMS = "expected LOW..HIGH, 'log LOW..HIGH', of lists and signals LOW..HIGH*N (steps), of signals LOW..HIGH~N (lines)"
-MOST = 10_000  # values of a list of them
+MOST = 10_000  # longest list of values
 # The most numbers of a profile or list: a search over more finds nothing in its budget.
 MANY = 50
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from softrig_core import Rig
     from softrig_core.wire.recording import Recording
 
-HALF = 16  # letters for what was recorded; as many for what was asked follow
+HALF = 16  # letters of the digest of the recorded part; the digest of the request has as many
 # This node repeats external messages. It belongs to a repetition, so it must not change the identity of the run.
 NOT_NODES = ("recorded_inputs",)
 
@@ -82,7 +82,7 @@ def asked_half(rig: Rig, seed: int) -> str:
 
     A file enters with its name only, because a pack has it in another folder.
     """
-    from softrig_core.block.params import flatten  # who only reads a bag needs no rig
+    from softrig_core.block.params import flatten  # reading a bag needs no rig, so this import is late
 
     nodes = {m.name: _plain(flatten(m.params)) for m in rig.members if not m.external and m.name not in NOT_NODES}
     asked = {"duration": rig.scenario.duration, "seed": seed, "nodes": nodes}
@@ -125,5 +125,5 @@ def contradictions(directory: Path) -> tuple[str, ...]:
         with BagReader(directory / BAG) as reader:
             custom = reader.custom_data
         return tuple(strangers(content, custom, bagged_half(directory / BAG))) if "run" in {*content, *custom} else ()
-    except (OSError, ValueError, BagError):  # told where it is read for its sake
+    except (OSError, ValueError, BagError):  # the function that reads the file itself reports the error
         return ()

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-LONGEST = 80  # letters before the digest
+LONGEST = 80  # letters of a name before its digest
 
 
 def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:

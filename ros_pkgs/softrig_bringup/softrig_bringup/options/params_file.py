@@ -136,7 +136,7 @@ def read_sections(file: Path) -> dict[str, dict[str, Any]]:
         text = file.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{source}: {getattr(error, 'strerror', None) or error}") from None
-    read_yaml(text, str(file), texts=True)  # bounds, keys that stand twice, what is no YAML
+    read_yaml(text, str(file), texts=True)  # refuses values out of bounds, repeated keys and text that is not YAML
     for event in yaml.parse(text, yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             raise ScenarioError(f"{source}: it has an alias (*name), which rcl refuses; write the values out")
@@ -160,7 +160,7 @@ def _nodes(branch: yaml.MappingNode, above: str, source: str) -> Iterator[tuple[
             raise ScenarioError(
                 f"{source}, line {line}: rcl refuses {name!r} after ros__parameters; write it before that"
             )
-        if lost:  # rcl 9.2 takes one part off its place at the end of a section, however many the key has
+        if lost:  # rcl 9.2 removes only one part of its path at the end of a section, even if the key has several
             raise ScenarioError(
                 f"{source}, line {line}: rcl misreads {name!r} after {lost!r}, a name of several parts inside another; "
                 "write both in full at the left margin"
@@ -179,7 +179,7 @@ def _nodes(branch: yaml.MappingNode, above: str, source: str) -> Iterator[tuple[
         if above and "/" in name.strip("/") + name[-1:]:
             lost = name
         if isinstance(value, yaml.MappingNode) and not value.value:
-            continue  # rcl looks at names with something below them
+            continue  # rcl checks only names of sections that are not empty
         if not all(map(_TOKEN.fullmatch, path.removesuffix("/").split("/")[1:])):
             raise ScenarioError(f"{source}, line {line}: {path!r} is no name of a node or namespace")
         if not isinstance(value, yaml.MappingNode):

@@ -103,7 +103,7 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
     )
     parser.set_defaults(
         words=(), view=False, paused=False, pace=0.0, address="", recalled=None
-    )  # those of the verb `view`
+    )  # the defaults of options that only the verb `view` declares
 
 
 def _moment(text: str) -> tuple[Path, float]:

@@ -14,7 +14,7 @@ from softrig_core.kit.compiled import cache_folder
 
 from .cargo import Package
 
-_FORM = 1  # of what `_lay_out` makes
+_FORM = 1  # version of what `_lay_out` writes
 _EXECUTABLE = """#!{python}
 import sys
 
@@ -61,7 +61,7 @@ def _lay_out(package: Package, prefix: Path) -> None:
     name, library = package.name, prefix / "python"
     about = library / f"{name}-{package.version}.dist-info"
     about.mkdir(parents=True)
-    copytree(package.folder / name, library / name)  # what Python compiles beside it is no part of the pack
+    copytree(package.folder / name, library / name)  # files that Python compiles here are not part of the pack
     (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {package.version}\n")
     groups = (
         f"[{group}]\n" + "".join(f"{point} = {target}\n" for point, target in points.items())

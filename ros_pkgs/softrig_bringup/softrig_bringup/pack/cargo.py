@@ -30,7 +30,7 @@ from .packed import About, digest_of
 from .parts import PACKAGES, SCENARIO
 
 GROUPS = ("console_scripts", "softrig_figures", "softrig_policies", "softrig_problems")
-LETTERS = 16  # of a SHA-256 that are shown
+LETTERS = 16  # letters of a SHA-256 that are printed
 # In bytes. A setup.cfg is read as a whole, and a stranger's may be of any size.
 SETUP = 1 << 20
 # Python imports these by itself when it starts, so a package of this name would run without a request.
@@ -38,7 +38,7 @@ _STARTS = {"sitecustomize", "usercustomize"}
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)|find_spec\(\"(\w+)\"\)", re.MULTILINE)
 _POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _TARGET = re.compile(r"(\w+)((?:\.\w+)*):(\w+(?:\.\w+)*)", re.ASCII)
-_LISTED = 20  # files of an FMU
+_LISTED = 20  # files of an FMU that are printed
 _COMPILED = {".pyc", ".pyo", ".pth"}
 _MACHINE = {".so", ".dll", ".dylib", ".pyd"}
 _FLAG = re.compile(

@@ -37,7 +37,7 @@ TIMES = 100
 HEAD = 512
 # In bytes. These files are read as a whole, so their size must fit in memory.
 LARGEST = {ABOUT: 8 << 20, METRICS: 64 << 20}
-_LONGEST = 3072  # bytes of a name with its folders; a path has 4096
+_LONGEST = 3072  # bytes of a name with its folders; a path may have 4096
 _ABANDONED = 86400.0  # s
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)
 _NAME = re.compile(
@@ -45,7 +45,7 @@ _NAME = re.compile(
 )
 _PLACE = re.compile(r"(?<![\w./])/([\w.+@-]+)/(?:[\w.+@-]+/)*")
 _BAG = re.compile(rf"{BAG}/(?:metadata\.yaml|[^/]+\.(?:mcap|db3)(?:\.zstd)?)")
-_END = struct.Struct("<4s4H2LH")  # of a zip file: signature, ..., size of the list of entries, ...
+_END = struct.Struct("<4s4H2LH")  # end of a zip file: signature, ..., size of the list of entries, ...
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,99}$")]
 
 

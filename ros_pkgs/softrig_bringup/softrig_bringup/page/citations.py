@@ -54,7 +54,7 @@ def cited(keys: Sequence[str]) -> tuple[Citation, ...]:
     if not keys:
         return ()
     known: dict[str, Citation] = {}
-    for folder in reversed(list(scenario_folders())):  # the first one counts
+    for folder in reversed(list(scenario_folders())):  # the first folder has priority
         if (path := folder / FILE).is_file():
             known |= _entries(path, path.stat().st_mtime_ns)
     wrong = next((key for key in keys if key not in known), None)

@@ -23,7 +23,7 @@ ROW = 22  # px from one wire of a box to the next; box tops are multiples of it,
 HEAD = 2 * ROW  # px of a box above its first wire
 LANE = 11  # px between lanes, and between tracks
 STEM = 12  # px before the first and after the last lane of a channel; a ring at the end of a stub fits in
-SMALLEST = 0.72  # of its size: below that the drawing scrolls
+SMALLEST = 0.72  # smallest scale: a larger drawing scrolls
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,8 @@ def draw_diagram(wiring: Wiring) -> Element:
     """
     result = columns(wiring)
     home = {n: k for k, column in enumerate(result) for n in column}
-    lanes = [_lanes(wiring.wires, home, k) for k in range(-1, len(result))]  # of the channel left of column k + 1
+    # Lanes of the channel left of column k + 1.
+    lanes = [_lanes(wiring.wires, home, k) for k in range(-1, len(result))]
     # from the column before on top, then from the tracks; the first wire has the lowest track: so few wires cross
     ins = {
         n: sorted((w for w in wiring.wires if n in w.readers), key=lambda w: home[w.source] + 1 != home[n])
@@ -58,7 +59,7 @@ def draw_diagram(wiring: Wiring) -> Element:
     heights = {n: HEAD + ROW * max(1, len(ins[n]), len(outs[n])) for n in wiring.nodes}
     tall = max((sum(heights[n] + ROW for n in c) - ROW for c in result), default=0)
     boxes: dict[str, Box] = {}
-    channels: list[float] = []  # x of the first lane of each
+    channels: list[float] = []  # x of the first lane of each channel
     x = 1.0
     for k, column in enumerate([[], *result]):
         wide = max((_width(wiring, n) for n in column), default=0.0)

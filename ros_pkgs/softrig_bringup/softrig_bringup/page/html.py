@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, fromstring, tostring
 
 from softrig_core.guard import replace
 
-NONE = "–"  # in a cell that has nothing to say
+NONE = "–"  # text of an empty cell
 
 
 def write_page(output: Path, title: str, body: Sequence[Element]) -> None:
@@ -78,7 +78,7 @@ def picture(content: bytes | str, title: str) -> Element:
     png = content if isinstance(content, bytes) else content.encode()
     if png.startswith(b"<svg"):
         drawn = fromstring(png.replace(b' xmlns="http://www.w3.org/2000/svg"', b"", 1))
-        drawn[:] = [element for element in drawn if element.tag != "style"]  # the page has its own
+        drawn[:] = [element for element in drawn if element.tag != "style"]  # the page has a style of its own
         return drawn
     width, height = struct.unpack(">II", png[16:24])
     source = f"data:image/png;base64,{base64.b64encode(png).decode()}"

@@ -13,8 +13,8 @@ from softrig_core import ScenarioError
 from softrig_core.guard import replace
 from softrig_core.judge.units import pretty_unit
 
-DIGITS = 4  # significant ones of the largest value in a column without an uncertainty
-SURE = 2  # significant ones of the largest uncertainty in a column
+DIGITS = 4  # significant digits of the largest value in a column without uncertainties
+SURE = 2  # significant digits of the largest uncertainty in a column
 _SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\^{}"}
 _UNICODE = {"·": r"$\cdot$", "²": "$^2$", "³": "$^3$", "Ω": r"$\Omega$", "°": r"$^\circ$", "−": "$-$"}
 

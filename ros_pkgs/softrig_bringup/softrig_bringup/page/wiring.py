@@ -11,7 +11,7 @@ from softrig_core.data import Data
 if TYPE_CHECKING:
     from softrig_core import Rig
 
-SWEEPS = 8  # over the columns, until neighbours stand side by side
+SWEEPS = 8  # passes over the columns that bring neighbours closer together
 
 
 @dataclass(frozen=True)

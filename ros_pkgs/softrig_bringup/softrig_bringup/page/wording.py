@@ -13,7 +13,7 @@ from .html import NONE
 __all__ = ["NEVER", "accepted", "difference", "in_words", "measured", "measured_here", "number", "short", "spans"]
 
 
-MOST = 3  # intervals that are written
+MOST = 3  # intervals that are written out
 
 
 def number(value: float | None) -> str:

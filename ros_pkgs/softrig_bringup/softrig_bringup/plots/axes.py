@@ -95,7 +95,7 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
         if mark.axis == "violated":
             if mark.end * scale < x0 or mark.start * scale > x1:
                 continue
-            thin = 0.001 * (x1 - x0)  # an instant is seen, too
+            thin = 0.001 * (x1 - x0)  # so wide that the mark of a single instant is visible
             drawn["violated"] = ax.axvspan(mark.start * scale - thin, mark.end * scale + thin, **_VIOLATED)
             continue
         if mark.axis == "time":
@@ -170,7 +170,7 @@ def _names(ax: Axes, marks: Sequence[Mark], scale: float) -> None:
 
 def _quantised(y: Array) -> bool:
     """Return whether a signal jumps between few values, as an encoder's speed or a switch does."""
-    y = np.sort(y)  # np.unique imports numpy.ma, a tenth of what a picture takes
+    y = np.sort(y)  # np.unique would import numpy.ma, which takes a tenth of the time of a picture
     return 8 * (1 + int(np.count_nonzero(y[1:] != y[:-1]))) < len(y)
 
 
@@ -220,7 +220,7 @@ def legend(
         ax.set_title(f"{title}: {text}" if title else text, loc="left", fontsize=9)
         return
     lines = [(line, c.label) for line, c in zip(ax.lines, curves, strict=False) if np.isfinite(line.get_ydata()).any()]
-    shown = [*lines, *marks]  # not what has no value here
+    shown = [*lines, *marks]  # curves without a finite value are left out
     if not shown:
         return
     names = [textwrap.fill(name, width) for _, name in shown]
@@ -251,7 +251,7 @@ def fold_exponents(figure: Printed) -> None:
             axis.get_offset_text().set_visible(False)
             power = re.search(r"(?:e|\^\{)(-?\d+)", numbers.get_offset().replace("\N{MINUS SIGN}", "-"))
             if power is None:
-                numbers.set_scientific(False)  # also when the layout gives other ticks
+                numbers.set_scientific(False)  # set again, because the layout may choose other ticks
                 continue
             numbers.set_powerlimits((int(power[1]), int(power[1])))
             factor = f"$\\mathregular{{10^{{{power[1]}}}}}$"

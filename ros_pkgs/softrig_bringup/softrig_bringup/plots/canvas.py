@@ -22,7 +22,7 @@ from .style import COLOURS
 Dashes = str | tuple[float, Sequence[float]]
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
-MARKS = {"o": "o", "o-": "o", ".": ".", "x": "x"}  # of a line's form
+MARKS = {"o": "o", "o-": "o", ".": ".", "x": "x"}  # marks of the line styles
 
 
 @dataclass(eq=False)
@@ -206,7 +206,7 @@ class Axes:
         self.ticks: dict[str, tuple[list[float], list[str] | None] | None] = {"x": None, "y": None}
         self.tick_sizes = {"x": 10.0, "y": 10.0}
         self.whole = False
-        self.numbered = True  # whether numbers stand below
+        self.numbered = True  # whether numbers are printed below the axes
         self.dashes = True  # whether ticks at the y axis have a length
         self.gridded = {"x": True, "y": True}
         self.unit_alone = False
@@ -468,7 +468,7 @@ class Axes:
         results = [float(t) for t in ticks]
         self.ticks[axis] = results, None if labels is None else list(labels)
         along = self.x if axis == "x" else self.y
-        if results:  # as matplotlib: the limits reach to each tick
+        if results:  # as in matplotlib, the limits include each tick
             low, high = along.limits()
             if along.fixed or min(results) < low or max(results) > high:
                 along.fixed = min(low, *results), max(high, *results)

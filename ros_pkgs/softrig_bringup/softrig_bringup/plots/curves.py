@@ -17,7 +17,7 @@ from softrig_core.wire.signals import short_name, topic_of
 from .named import Shown
 
 _PIXELS = 1100  # columns that a long signal is reduced to
-LONG = 1 << 18  # samples beyond which a curve over time is reduced when it is made
+LONG = 1 << 18  # samples beyond which a curve over time is reduced already when it is made
 _AXES = {"alpha_beta": ("α", "β", "0"), "dq": ("d", "q", "0"), "abc": ("a", "b", "c")}
 
 
@@ -59,7 +59,7 @@ def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[floa
     ScenarioError
         No such signal, or the scenario has no plots of its own.
     """
-    shared = rig.scenario.shared  # as formulas name signals
+    shared = rig.scenario.shared  # signals by the names that formulas use
     names = [str(shared.get(name, name)) for name in names]
     entries = (PlotEntry(title=title, signals=dict.fromkeys(names, "")),) if names else rig.scenario.plots
     if not entries:
@@ -164,7 +164,7 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
         return replace(curve, x=x[:0], y=y[:0])
     chosen = slice(int(np.searchsorted(x, first, "right")), int(np.searchsorted(x, last)))
     edges = np.array([first, last])
-    if curve.held:  # up to the last edge, not the step that may be there
+    if curve.held:  # a held signal counts up to its last edge
         end = np.searchsorted(x, last) - 1 if first < last < x[-1] else np.searchsorted(x, last, "right") - 1
         ends = y[np.array([np.searchsorted(x, first, "right") - 1, end])]
     else:
@@ -219,7 +219,7 @@ class Source:
     def difference(self, first: str, second: str, label: str = "") -> Curve:
         """Return a signal less the newest value of another, at the samples of the first."""
         a, b = self.curve(first), self.curve(second)
-        n = len(self.signals.table(self.topic(first)).t)  # without the end to which a held signal is drawn
+        n = len(self.signals.table(self.topic(first)).t)  # the point that is appended to a held signal does not count
         k = int(np.searchsorted(a.x[:n], b.x[0])) if len(b.x) else n
         x, y = a.x[k:n], a.y[k:n]
         newest = np.searchsorted(b.x, x, side="right") - 1

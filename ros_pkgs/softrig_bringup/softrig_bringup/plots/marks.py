@@ -18,8 +18,8 @@ from softrig_core.verdict.result import Result
 
 Spans = tuple[tuple[float, float], ...]
 
-BESIDE = 0.06  # of the window: how far the mark of an extreme reaches to either side
-TOGETHER = 0.01  # of all that is violated: intervals as near as this are drawn as one
+BESIDE = 0.06  # share of the window by which the mark of an extreme extends to either side
+TOGETHER = 0.01  # share of the window: violations that are closer are drawn as one
 NAMED = 4  # more instants than this in one picture would cover it with their names
 
 
@@ -92,7 +92,7 @@ def marks_of(rig: Rig, signals: SignalMap, results: Iterable[Result] = ()) -> di
         about = Mark("value", figure.name, low / figure.scale, high / figure.scale, printed / figure.scale)
         signal = figure.arguments.get("signal")
         if isinstance(signal, str):
-            with suppress(KeyError, ValueError):  # the run ended before its window
+            with suppress(KeyError, ValueError):  # the run may have ended before the window of the figure
                 result.setdefault(signal, []).extend(_placed(figure.at(signals), about, signals))
     return result
 
@@ -101,7 +101,7 @@ def _spans(judge: Judge, signals: SignalMap) -> Spans:
     """Return the intervals in which a requirement does not hold."""
     try:
         return judge.margin(signals).violated
-    except (KeyError, ValueError):  # not judged: its line in the table says so
+    except (KeyError, ValueError):  # the table reports why the requirement is not judged
         return ()
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Printed
 
 BAND = (0.1, 0.9)  # quantiles between which a band lies
-_SAMPLES = 1000  # of a band
+_SAMPLES = 1000  # samples of a band
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Overlay:
     signals: Signals
 
 
-Drawn = Sequence[tuple[Overlay, Curve]]  # of one signal
+Drawn = Sequence[tuple[Overlay, Curve]]  # overlays and curves of one signal
 
 
 def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str, str]]:
@@ -97,7 +97,7 @@ def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, D
         same = [n for n in references if about[n].unit == about[name].unit]
         lines = [r for n in same if (r := _common([c for _, c in curves[n]], entry.signals[n]))]
         drawn = _overlaid(ax, curves[name], lines, scale)
-        if [c.label for c in drawn] != messages:  # once, if it is the same below
+        if [c.label for c in drawn] != messages:  # equal legends are drawn once
             legend(ax, drawn, "", width, noun="runs")
             messages = [c.label for c in drawn]
         label = entry.signals[name] or name
@@ -115,7 +115,7 @@ def _curve(run: Overlay, name: str, window: tuple[float, float] | None) -> Curve
     about = run.shown[name]
     try:
         t, y = run.signals[name]
-    except KeyError:  # nothing was recorded of it
+    except KeyError:  # the signal was not recorded
         t = y = np.array([])
     return inside(Curve(run.label, about.unit, t, y, about.held), window)
 

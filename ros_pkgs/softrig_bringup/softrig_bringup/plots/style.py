@@ -9,9 +9,9 @@ from softrig_core.judge.units import pretty_unit
 # Okabe and Ito's colours, which stay apart for every kind of colour vision; yellow is left out (too pale on white).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f5539")
 REFERENCE = "#222222"
-VIOLATED = "#cc3311"  # where a requirement does not hold
-ACCEPTED = "#44aa99"  # the band that passes
-PUBLISHED = "#882255"  # what the paper prints
+VIOLATED = "#cc3311"  # colour of spans in which a requirement does not hold
+ACCEPTED = "#44aa99"  # colour of the band of values that pass
+PUBLISHED = "#882255"  # colour of the values of the paper
 SOFT = "#777777"
 DASHED = ((0, (5, 3)), (0, (1.5, 1.5)), (0, (8, 2, 1.5, 2)))
 DPI = 110
@@ -63,7 +63,7 @@ class Style(NamedTuple):
         return int(110 * (self.inches or WIDTH) / WIDTH * 9.0 / (self.font or 9.0))
 
 
-PLAIN = Style()  # as on a page
+PLAIN = Style()  # the style of pages
 
 # the widths are those of the publishers' instructions for artwork
 PAPERS = {
@@ -74,7 +74,7 @@ PAPERS = {
 }
 # Type 3 letters, matplotlib's default, are refused by many publishers' checks
 FONTS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "softrig"}
-SERIF: dict[Any, Any] = {"font.family": "STIXGeneral", "mathtext.fontset": "stix"}  # matplotlib brings them
+SERIF: dict[Any, Any] = {"font.family": "STIXGeneral", "mathtext.fontset": "stix"}  # fonts that matplotlib includes
 
 
 def style() -> dict[Any, Any]:

@@ -19,8 +19,8 @@ from .ticks import minus, power_of, round_ticks, texts, with_power
 
 INK, FRAME, GRID, NUMBERS, SOFT = "#222222", "#666666", "#dddddd", "#444444", "#777777"
 FONT = "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif"
-FINE = 10  # parts of a pixel that coordinates of curves are rounded to
-LONG = 20_000  # points of a curve in a plane from which on a piece that is drawn twice is left out
+FINE = 10  # parts of a pixel to which coordinates of curves are rounded
+LONG = 20_000  # points from which on a curve in a plane is drawn without repeated pieces
 # advance of DejaVu Sans, hundredths of the size: the widest of the usual letters, so that nothing lies over another
 _WIDTHS = {
     30: "'IJijl", 36: " ,-./:;\\f|", 41: "!()[]rt", 46: '"', 54: "*?_`sz", 60: "FLPckvxy",
@@ -29,7 +29,8 @@ _WIDTHS = {
 _NO_XML = re.compile(r"[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 Whole = NDArray[np.int64]
 _WIDTH = {letter: width / 100 for width, letters in _WIDTHS.items() for letter in letters}
-_DASHES = {"--": (3.7, 1.6), "-.": (6.4, 1.6, 1.0, 1.6), ":": (1.0, 1.65)}  # of the width of the line
+# Lengths of dashes and gaps, in widths of the line.
+_DASHES = {"--": (3.7, 1.6), "-.": (6.4, 1.6, 1.0, 1.6), ":": (1.0, 1.65)}
 # a dark page inverts lightness and keeps hues, as pages of softrig do with their pictures; paper stays white
 _STYLE = "@media screen and (prefers-color-scheme:dark){svg.plot{filter:invert(.9) hue-rotate(180deg)}}"
 
@@ -84,7 +85,8 @@ def described(figure: Figure) -> Iterator[str]:
         low, high = axes.x.extent()
         title = ": ".join(text for text in (head, axes.titles["y"]) if text) or "Values"
         parts = []
-        labelled = any(line.label for line in axes.lines)  # then those without are marks, which the legend names
+        # Lines without a label are then marks, which the legend explains.
+        labelled = any(line.label for line in axes.lines)
         for line in axes.lines:
             known = line.y[np.isfinite(line.y)]
             if known.size and not line.up and bool(line.label) == labelled:
@@ -106,9 +108,9 @@ class _Writer:
 
     def __init__(self, figure: Figure) -> None:
         self.figure = figure
-        self.point = figure.dpi / 72.0  # pixels of a point of type
+        self.point = figure.dpi / 72.0  # pixels per point of the type size
         self.wide, self.high = (round(length * figure.dpi) for length in figure.size)
-        self._before: list[float] = []  # room before the axes of each column, pixels: there their titles stand in line
+        self._before: list[float] = []  # pixels before the axes of each column; the titles of a column are aligned
 
     def parts(self) -> Iterator[str]:
         figure, point = self.figure, self.point
@@ -140,7 +142,7 @@ class _Writer:
         rows, columns = grid.rows, grid.columns
         boxes = {id(a): Box(0.0, 0.0, area.width / columns - 70.0, area.height / rows - 60.0) for a in axes}
         limits = {id(a): (a.x.limits(), a.y.limits()) for a in axes if a.equal}
-        for _ in range(3):  # numbers need room by the ticks, of which there are as many as there is room for
+        for _ in range(3):  # the room for the numbers depends on the number of ticks, and this number on the room
             for a in axes:
                 if a.equal:
                     _equalise(a, boxes[id(a)], *limits[id(a)])
@@ -354,7 +356,8 @@ class _Writer:
 
     def _marks(self, item: Line, points: Sequence[tuple[float, float]], fine: float = 1.0) -> str:
         """Draw dots or crosses at points."""
-        size = item.markersize * (0.5 if item.marker == "." else 1.0) + (item.marker != "x")  # an edge of a point
+        # A point has an edge, except for the mark x.
+        size = item.markersize * (0.5 if item.marker == "." else 1.0) + (item.marker != "x")
         size *= self.point * fine
         faint = f' opacity="{item.alpha:.3g}"' if item.alpha < 1.0 else ""
         half = _n(size / 2)
@@ -370,7 +373,7 @@ class _Writer:
     def _words(self, item: Words, x: float, y: float) -> str:
         size = item.fontsize
         anchor = {"left": "start", "center": "middle", "right": "end"}[item.ha]
-        if item.rotation:  # along a line upwards: what is left of the text is below of its point
+        if item.rotation:  # a text along a rising line: its left side becomes its lower side
             box = ""
             if item.boxed:
                 wide, high = width_of(item.text, size) * self.point, 1.25 * size * self.point

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 STEPS = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0)
-POWERS = (-3, 5)  # from these powers of ten on, a factor stands in the axis title
+POWERS = (-3, 5)  # powers of ten from which on the axis title has a factor
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -35,7 +35,7 @@ def round_ticks(low: float, high: float, most: int, integers: bool = False) -> l
         steps = [s for s in steps if s < 1.0 or abs(s - round(s)) < 1e-3]
     fitting = next((k for k, s in enumerate(steps) if s >= raw), len(steps) - 1)
     result: list[float] = []
-    for step in reversed(steps[: fitting + 1]):  # a finer step where this one leaves less than two ticks
+    for step in reversed(steps[: fitting + 1]):  # a finer step if this one gives fewer than two ticks
         if integers and math.floor(high) - math.ceil(low) >= 1:
             step = max(1.0, step)
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)

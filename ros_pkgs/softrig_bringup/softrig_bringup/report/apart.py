@@ -12,7 +12,7 @@ from softrig_core.kit.file_format import json_of
 
 from .record import RunRecord
 
-SHORT, LONGEST = 30, 60  # letters: of folders that name their runs, and of what differs between those
+SHORT, LONGEST = 30, 60  # letters of a run's name, and of the description of a difference
 
 
 def names(runs: Sequence[tuple[Path, RunRecord]], labels: Sequence[str] = ()) -> list[str]:

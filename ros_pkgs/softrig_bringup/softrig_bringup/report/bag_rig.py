@@ -37,7 +37,7 @@ def rig_of_bag(path: Path, signals: BagSignals) -> Rig:
     ports = tuple(
         _Column(f"topic_{i}", topic, "sensor_msgs/msg/JointState", names, ("position",), ("",) * len(names))
         for i, (topic, names) in enumerate(columns.items())
-        if names and topic.strip("/") != "clock"  # which every rig has
+        if names and topic.strip("/") != "clock"  # every rig has /clock
     )
     if not ports:
         raise BagError(f"{path}: no topic with numbers that can be read, nothing to draw")

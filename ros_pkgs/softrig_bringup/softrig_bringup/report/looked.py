@@ -28,7 +28,7 @@ from ..pack.packed import about
 from ..pack.parts import BAG, METRICS, SCENARIO
 from .record import RunRecord, record_of
 
-SAME = 1e-9  # of a figure that other libraries have computed from the same bag
+SAME = 1e-9  # relative difference up to which figures of other libraries from the same bag agree
 
 
 def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:

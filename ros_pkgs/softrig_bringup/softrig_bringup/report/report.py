@@ -18,7 +18,7 @@ from .record import RunRecord, read_run
 from .run_page import run_section
 from .several import differences, index, overlaid, side_by_side
 
-MARK = "metrics.json"  # of the folder of a run
+MARK = "metrics.json"  # this file marks the folder of a run
 
 
 def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
@@ -101,7 +101,7 @@ def write_report(
             *differences(records, named),
             *overlaid(runs, named),
         ]
-        body.append(e("h2", "Each run by itself"))  # folded: what tells them apart stands above
+        body.append(e("h2", "Each run by itself"))  # folded, because the differences are listed above
         for i, (run, name) in enumerate(zip(runs, named, strict=True), 1):
             body.append(e("details", e("summary", name), run_section(*run, name, "h2", f"run-{i}"), class_="run"))
     if without:
@@ -112,8 +112,8 @@ def write_report(
 
 def _of_pack(path: Path) -> tuple[Path, RunRecord]:
     """Read a pack as a run, without any code of its sender."""
-    from ..pack.packed import opened  # with pydantic, which a run's own record does not need
-    from .looked import record_of_pack  # builds its rig
+    from ..pack.packed import opened  # late import: pydantic is not needed for the folder of a run
+    from .looked import record_of_pack  # late import: it builds the rig
 
     folder = opened(path)
     try:

@@ -166,13 +166,14 @@ def _pictures(directory: Path, run: RunRecord) -> Iterator[Element]:
     files = [
         (path, title, text)
         for name, title, text in wanted
-        for path in (directory / name, (directory / name).with_suffix(".png"))  # which an older run has
+        for path in (directory / name, (directory / name).with_suffix(".png"))  # files of an older run
     ]
     results = [entry for entry in files if entry[0].is_file()]
     if not results and (directory / "bag").is_dir():
         from .run_rig import draw_missing  # a page of a run with pictures needs no rig
 
-        with TemporaryDirectory() as folder, suppress(ScenarioError, BagError):  # its scenario or bag may be gone
+        # The scenario or the bag may be missing.
+        with TemporaryDirectory() as folder, suppress(ScenarioError, BagError):
             for path in draw_missing(directory, Path(folder)):
                 title, text = next(((t, x) for name, t, x in wanted if name == path.name), (path.stem, ""))
                 yield e("figure", picture(path.read_bytes(), title), *([e("figcaption", text)] if text else []))
@@ -245,7 +246,7 @@ def _nodes(run: RunRecord) -> Iterator[Element]:
     rows = {
         node: {"refused": sum(count for count, _ in status.get("refused", {}).values())} | _plain(status)
         for node, status in run.nodes.items()
-        if "state" in status  # a process of its own
+        if "state" in status  # only a node with a process of its own has a state
     }
     if rows:
         columns = list(dict.fromkeys(name for row in rows.values() for name in row))

@@ -57,7 +57,7 @@ def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
             return rig_of_pack(folder)
         except ScenarioError as error:
             raise ScenarioError(f"{directory}: {error}") from None
-    if (directory / ABOUT).is_file():  # a pack that somebody has unpacked
+    if (directory / ABOUT).is_file():  # an unpacked pack
         return rig_of_pack(directory)
     if not directory.exists():
         raise ScenarioError(f"{directory}: no such file or folder, expected a run, a bag or a pack{nearby(directory)}")

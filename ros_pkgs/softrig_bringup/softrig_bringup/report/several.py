@@ -23,9 +23,9 @@ from .run_page import verdict
 if TYPE_CHECKING:
     from softrig_core import Signals
 
-COLUMNS = 8  # figures that a table holds beside each other on a page 1,100 pixels wide
-MOST = 40  # rows of the table of what differs
-APART = 4.0  # runs of which one is so many times longer than the other have no picture in common
+COLUMNS = 8  # figures that fit beside each other in a table on a page 1,100 pixels wide
+MOST = 40  # rows of the table of differences
+APART = 4.0  # ratio of the lengths of two runs above which they have no common picture
 
 
 def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:

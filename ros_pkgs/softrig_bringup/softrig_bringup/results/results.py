@@ -44,8 +44,8 @@ class Measured(NamedTuple):
     units: dict[str, str]
     missed: list[str]
     error: str
-    kept: bool = False  # from an earlier call, of the same code and scenario
-    seconds: float = 0.0  # of the wall's clock that the run took
+    kept: bool = False  # whether an earlier call with the same code and scenario has measured it
+    seconds: float = 0.0  # wall-clock time of the run
 
 
 def measure(work: tuple[str, Path | None]) -> Measured:
@@ -84,7 +84,7 @@ def _cleared(path: Path) -> ResultsFolder:
 
 
 def _figures(folder: Path) -> Path:
-    return folder.with_name(f"{folder.name}.json")  # beside the run, which lists all that is in its folder
+    return folder.with_name(f"{folder.name}.json")  # beside the folder of the run, which lists all files in it
 
 
 def _key(rig: Rig) -> str:
@@ -184,7 +184,8 @@ def study_findings(
         try:
             log = run_study(study, out / study.name, workers=workers)
         except OtherContentError:
-            ResultsFolder(out / study.name, STUDY).clear()  # of another scenario or other code: all can be run again
+            # They are of another scenario or other code, and can be computed again.
+            ResultsFolder(out / study.name, STUDY).clear()
             log = run_study(study, out / study.name, workers=workers)
         done = without_signals(log.rows())
         rows += claims(study, results(study, done, {}))
@@ -221,12 +222,12 @@ def left_out(systems: Sequence[str]) -> str:
 def main(options: argparse.Namespace) -> int:
     """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
     systems, out = options.scenarios, options.out or RESULTS
-    name = "_".join(["results", *systems])  # of some systems: beside the page of all
+    name = "_".join(["results", *systems])  # a page of some systems is written beside the page of all
     scenarios = claiming(systems)
     if not scenarios:
         raise ScenarioError("no scenario has claims")
     with alone_in(out):
-        if not os.access(out, os.W_OK | os.X_OK):  # said before the runs, not after them
+        if not os.access(out, os.W_OK | os.X_OK):  # reported before the runs, not after them
             raise ScenarioError(f"{out}: cannot be written into; choose another --out")
         rows, measured = gather(scenarios, options.workers, out / "runs")
         without = "" if options.studies else left_out(systems)

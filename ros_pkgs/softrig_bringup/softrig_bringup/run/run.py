@@ -97,7 +97,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
         except OSError as full:
             run.error = f"{directory}: {full.strerror or full}"
         try:
-            shards.flush()  # also of a run that broke or was stopped: what it did last is what is looked for
+            shards.flush()  # for a run that failed or was stopped, too: its last messages are the most important
         except OSError as full:
             run.error = run.error or f"{directory}: {full.strerror or full}"
         run.recording = shards.recording()
@@ -109,7 +109,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
             blocks |= {name: Measured(m, seed, lambda: run.signals, native) for name, m in measured.items()}
             run.blocks, run.status = blocks, {m.name: status_of(blocks[m.name]) for m in rig.members}
     else:
-        from softrig_nodes import run_processes  # runs in process do without what it imports
+        from softrig_nodes import run_processes  # late import: runs in process do not need it
 
         outcome = run_processes(rig, seed, directory, placement, listener)
         run.recording, run.status, run.epoch = outcome.recording, outcome.status, outcome.epoch
@@ -377,12 +377,13 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     keys = ("scenario", "mode", "seed", "versions", "code", "command", "run")
 
-    epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
+    epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # time of t = 0, if the run was in real time
     late = lateness(run.status) if run.epoch else {}
     epoch |= {"late": json.dumps(late)} if late else {}
-    epoch |= {"from": json.dumps(content["from"])} if "from" in content else {}  # the run that it goes on from
+    epoch |= {"from": json.dumps(content["from"])} if "from" in content else {}  # the run from which it continues
     epoch |= {"contents": json.dumps(content["contents"])} if content["contents"] else {}
-    last = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
+    # Figures that observers measured at the end.
+    last = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}
     observed = {"observed": json.dumps(last)} if last else {}
     epoch |= {"branched": json.dumps(run.branched)} if run.branched else {}
     return epoch | observed | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

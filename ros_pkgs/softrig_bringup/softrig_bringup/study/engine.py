@@ -120,7 +120,7 @@ def check_seeds(study: Study, drafts: Mapping[str, Draft]) -> None:
         try:
             first, second = (recorded(work, seed) for seed in (study.seeds or ())[:2])
         except RunError:
-            return  # its row says why
+            return  # the row of the run reports the reason
         if any(topic.data != second[name].data for name, topic in first.items()):
             return
     raise ScenarioError(
@@ -195,7 +195,7 @@ def _changed(stored: dict[str, Any], current: dict[str, Any]) -> str:
         return ""
     for field, noun in nouns.items():
         old, new = stored.get(field), current[field]
-        if not isinstance(old, dict):  # made before this was kept
+        if not isinstance(old, dict):  # older results lack this field
             return ""
         if names := sorted(name for name in old.keys() | new.keys() if old.get(name) != new.get(name)):
             return f" ({noun} {', '.join(names)} has changed)"

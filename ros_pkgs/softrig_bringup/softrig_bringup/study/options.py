@@ -19,8 +19,8 @@ from ..options.grammar import NUMBER, settings, span, values
 from ..options.naming import elsewhere, folder_of, scenario_file
 from .definition import Study, list_studies, load_study, make_study
 
-VIEWS = ("figures", "signals", "samples", "strict")  # what of the same runs is kept, and by what each is judged
-DRAWN, BALANCED = 100, 128  # draws by default; of methods that need a power of two
+VIEWS = ("figures", "signals", "samples", "strict")  # the kept data of runs, and the options by which they are judged
+DRAWN, BALANCED = 100, 128  # draws by default; the second value is for methods that need a power of two
 
 
 def study_of(options: Namespace) -> Study:
@@ -132,7 +132,7 @@ def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
         change = settings([text]) if "=" in text else {"scenario": text}
         name = text if "=" in text else _slug(text)
         if name in result and "=" not in text and not _is_same(text, (options.study, *options.against)):
-            name = text  # another file of that name
+            name = text  # two files have the same name, so the path tells them apart
         if name in result:
             raise ScenarioError(f"--against {text}: it is the scenario itself, or is listed twice")
         result[name] = change

@@ -137,7 +137,7 @@ def _notes(study: Study, rows: Sequence[Row], gathered: Sequence[Result], over: 
 
 
 def _cell(value: Any) -> str:
-    if value is None:  # of a case that leaves it as the scenario has it
+    if value is None:  # the case does not change this value
         return NONE
     return short(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
@@ -236,7 +236,7 @@ def body_of(
         for row in rows[:LONGEST]
     ]
     listed = table(heads, lines, "  n" + "n" * len(names))
-    folded = e("details", e("summary", f"{len(lines)} runs"), listed)  # what they say stands above
+    folded = e("details", e("summary", f"{len(lines)} runs"), listed)  # folded, because the results are printed above
     body += [e("h2", "Runs"), listed if len(rows) <= FEW else folded]
     note = "table.parquet and table.csv have every run with the command that repeats it."
     if len(rows) > LONGEST:

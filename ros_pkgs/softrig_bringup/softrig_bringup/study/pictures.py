@@ -20,10 +20,10 @@ from .table import label
 from .work import absent, value_of
 
 Row = Mapping[str, Any]
-TICKS = 12  # values of a parameter that get a tick each
-LOST = "#b3261e"  # of what has no value
-FEW = 3  # histograms that can be told apart over one another
-MOST = 6  # figures, and groups of curves, that a picture can hold
+TICKS = 12  # values of a parameter up to which each has a tick
+LOST = "#b3261e"  # colour of points without a value
+FEW = 3  # histograms that can be distinguished when they overlap
+MOST = 6  # figures, and groups of curves, that fit in a picture
 
 
 def draw_study(
@@ -225,7 +225,7 @@ def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, sca
     x, y = (np.array([row["overrides"][p] for row in placed], float) for p in varied)
     z = np.array([row["figures"].get(name) for row in placed], float)
     at_x, at_y = np.unique(x), np.unique(y)
-    if at_x.size * at_y.size <= 4 * x.size:  # a grid
+    if at_x.size * at_y.size <= 4 * x.size:  # the points form a grid, with at most three quarters of its places empty
         mean = np.full((at_y.size, at_x.size), np.nan)
         for i, v in enumerate(at_y):
             for j, u in enumerate(at_x):
@@ -237,7 +237,7 @@ def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, sca
                 set_ticks(ticks)
     else:
         drawn = ax.scatter(x[sure], y[sure], c=z[sure], s=8, **scale)
-        ax.margins(x=0.03)  # a point at the edge is not cut
+        ax.margins(x=0.03)  # space for points at the edge
     if not all(sure):
         ax.plot(x[~np.array(sure)], y[~np.array(sure)], "x", color=LOST, markersize=7, clip_on=False)
     ax.grid(False)
@@ -307,7 +307,8 @@ def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
     sure = [row for row in rows if row["figures"].get(search.figure) is not None]
     if search.aim == "minimise":
         sure = sure[::-1]
-    sure.sort(key=lambda r: r["figures"][search.figure], reverse=search.aim == "minimise")  # the best on top
+    # Drawn last, so that the best run is on top.
+    sure.sort(key=lambda r: r["figures"][search.figure], reverse=search.aim == "minimise")
     columns = [np.array([r["overrides"][n] for r in sure], float) for n in names]
     columns.append(np.array([r["figures"][search.figure] for r in sure], float))
     spans = [(c.min(), np.ptp(c) or 1.0) for c in columns]

@@ -20,7 +20,7 @@ from ..options.repeat import scenario_word, words
 from .definition import Study, Summary
 
 Row = Mapping[str, Any]
-ALL = "all runs"  # label of a run of a study without cases and grid
+ALL = "all runs"  # label of all runs of a study without cases and grid
 
 
 def without_signals(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from .estimate import Estimate
 from .statistics import Statistics
 from .table import ALL
 
-DIGITS = 2  # of the width of an interval that are written
+DIGITS = 2  # digits of the width of an interval
 
 
 class Tabled(NamedTuple):
@@ -114,7 +114,7 @@ def written_estimate(estimate: Estimate) -> str:
 def _rounded(value: float, decimals: int | None) -> str:
     if decimals is None:
         return _short(value)
-    if not -2 <= decimals <= 6:  # of much smaller or larger numbers a power of ten says more than zeros do
+    if not -2 <= decimals <= 6:  # much smaller or larger numbers are printed with a power of ten
         return f"{value:.{max(0, decimals + _exponent(value))}e}" if value else "0"
     return f"{round(value, decimals):.{max(0, decimals)}f}"
 

@@ -24,12 +24,12 @@ def asked(foreign: Container[str]) -> list[str]:
     """Return the words of the verb that a shell completes, if the verb has its own parser."""
     try:
         words = shlex.split(os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))] + "|")
-    except ValueError:  # within quotes
+    except ValueError:  # the word is within quotes
         return []
     for count in (2, 1):
         verb = words[1 : count + 1]
         if len(words) > count + 1 and " ".join(verb) in foreign:
-            os.environ["_ARGCOMPLETE"] = str(count + 1)  # its words begin with the last of these
+            os.environ["_ARGCOMPLETE"] = str(count + 1)  # the words of the command begin with the last of these
             return verb
     return []
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from softrig_core.guard import is_quiet, print_line
 
-SILENT = 1.0  # s of wall-clock time that work may take without a word
+SILENT = 1.0  # s of wall-clock time before the progress is shown
 NEWS = 10.0  # s of wall-clock time between two lines
 REDRAWN = 0.1  # s of wall-clock time between two states of a notebook's bar
 
@@ -75,7 +75,7 @@ def busy(text: str) -> Iterator[None]:
 
 def _notebook() -> Any:
     """Return the function of IPython that shows something, when there is a notebook to show it."""
-    ipython: Any = sys.modules.get("IPython")  # loaded by whoever serves the notebook, never by us
+    ipython: Any = sys.modules.get("IPython")  # only a notebook server imports it
     shell = ipython.get_ipython() if ipython is not None else None
     if shell is None or not hasattr(shell, "kernel"):
         return None

@@ -12,7 +12,7 @@ from rich.text import Text
 from softrig_core.guard import plain
 
 Cell = str | Text
-WORDS = ("unit", "")  # heads of what stands to the left
+WORDS = ("unit", "")  # heads of the columns on the left
 
 
 def fits(console: Console, table: Table) -> bool:

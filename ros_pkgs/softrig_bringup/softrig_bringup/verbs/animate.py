@@ -70,7 +70,7 @@ def _drawing(rig: Rig) -> Drawing:
 
 def _window(start: float, end: float | None, length: float) -> tuple[float, float]:
     last = length if end is None else min(end, length)
-    if last - start < 1e-9:  # the unit of time
+    if last - start < 1e-9:  # too short for the unit s
         raise ScenarioError(f"--from {start:g} s to {last:g} s: expected a part of the run, which is {length:g} s long")
     return start, last
 
@@ -80,7 +80,7 @@ def write(movie: Film, out: Path) -> str:
     if out.suffix == ".svg":
         replace(out, animated(movie))
         return ""
-    from ..film.raster import pixels  # pillow
+    from ..film.raster import pixels  # late import: it needs Pillow
 
     content, reduced = pixels(movie, out.suffix[1:])
     replace(out, content)

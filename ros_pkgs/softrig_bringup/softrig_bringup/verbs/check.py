@@ -25,8 +25,8 @@ from ..page.wording import NEVER, accepted, spans
 
 # the options of each kind of judging, as they are declared
 OWN = {"": ("against", "marks", "html"), "claims": ("out", "studies"), "golden": ("node", "bags")}
-KEPT = ("figures", "expect", "claims", "requirements")  # what --against takes from its own file
-COMPARED = ("nodes", "shared", "faults", "changes", "duration", "seed")  # of what is judged, beside them
+KEPT = ("figures", "expect", "claims", "requirements")  # sections that a scenario of --against keeps
+COMPARED = ("nodes", "shared", "faults", "changes", "duration", "seed")  # sections that are compared besides them
 
 
 class Judged(NamedTuple):
@@ -61,7 +61,7 @@ def _expectations(options: argparse.Namespace) -> int:
     for path in (options.junit, options.json, options.marks, options.html):
         if path is not None and not path.absolute().parent.is_dir():
             raise ScenarioError(f"{path}: there is no folder {path.absolute().parent}")
-    if options.against:  # the one that judges all
+    if options.against:  # --against judges all scenarios
         figures_of(rig_of(load_scenario(options.against)))
     works = [Judged(_called(name), name, options.against) for name in options.scenarios]
     outcomes = sweep(judge, works, title="check", workers=options.workers)
@@ -145,7 +145,8 @@ def _marks(suites: Sequence[Suite], differs: Sequence[Sequence[str]] | None) -> 
     error.
     """
     units = {case.name: case.unit for suite in suites for case in suite.cases}
-    heads = {name: f"{name} ({unit})" if unit else name for name, unit in units.items()}  # numbers stay numbers
+    # Units are in the heads, so the cells remain numbers.
+    heads = {name: f"{name} ({unit})" if unit else name for name, unit in units.items()}
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     judged = (cell for name, head in heads.items() for cell in (head, f"{name} holds"))

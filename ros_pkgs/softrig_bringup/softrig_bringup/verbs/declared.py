@@ -14,7 +14,8 @@ from ..pack.publication import license_of, person, publisher
 from ..study import RUNS
 
 ONE = {"surplus": "one scenario at a time; `softrig study ONE --against OTHER` compares two"}
-Verb = Callable[..., argparse.ArgumentParser]  # of name, function and text, and of the verb whose part it is
+# Called with a name, a function and a text, and with the verb to which a part belongs.
+Verb = Callable[..., argparse.ArgumentParser]
 
 
 def verbs(verb: Verb) -> None:
@@ -59,7 +60,7 @@ def verbs(verb: Verb) -> None:
     pack.add_argument(
         "--published",
         type=_day,
-        default="1980-01-01",  # as the times in the file: the same run gives the same bytes
+        default="1980-01-01",  # the date of the files in a pack: packs of the same run have the same bytes
         metavar="DATE",
         help="for archives (RO-Crate): date of publication (1980-01-01)",
     )

@@ -34,7 +34,7 @@ from ..folder import alone_in
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import versions
 
-DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin", "daqp")  # of the versions: the bits of a run
+DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin", "daqp")  # versions that determine the bits of a run
 # Python decides where a block is not ours: since 3.12 its `sum` compensates floats, since 3.14 complex numbers too
 ERAS = ((3, 12), (3, 14))
 FILE = "golden.yaml"

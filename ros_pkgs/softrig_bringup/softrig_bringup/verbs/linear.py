@@ -15,10 +15,10 @@ from ..options.grammar import settings
 from ..terminal.console import console
 
 DEGREES = 180.0 / math.pi
-SHOWN = 8  # modes
-NOTABLE = 1e-6  # of what an output does, how far it may be off without being named
-ANY = 1e-9  # gain margin downwards that is rounding: the loop is stable with any smaller gain
-ANOTHER = 0.5  # variation above which poles and margins are of something else
+SHOWN = 8  # modes that are printed
+NOTABLE = 1e-6  # share of the motion of an output up to which a deviation is not reported
+ANY = 1e-9  # a gain margin downwards below this is rounding: the loop is stable with any smaller gain
+ANOTHER = 0.5  # variation above which poles and margins describe another system
 
 
 def numbers(view: LinearView) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from softrig_core.scenario.index import Listed, listed
 if TYPE_CHECKING:
     from rich.tree import Tree
 
-FOLDED = 1  # levels of variants that are shown of all systems
+FOLDED = 1  # levels of variants that are printed in the list of all systems
 
 
 def main(options: argparse.Namespace) -> int:
@@ -67,7 +67,7 @@ def _tree(system: str, scenarios: list[Listed], depth: int) -> Tree:
     sources = {s.source for s in scenarios}
     tree = Tree(styled((system, "bold"), *(("  ", (sources.pop(), "dim")) if len(sources) == 1 else ())))
     branches: list[tuple[str, Tree]] = []
-    for s in scenarios:  # sorted, so that a variant comes after what it is a variant of
+    for s in scenarios:  # sorted, so that a variant follows its base
         while branches and not s.name.startswith(f"{branches[-1][0]}_"):
             branches.pop()
         if len(branches) > depth:

@@ -39,7 +39,7 @@ class Kind(NamedTuple):
 
 
 PLANT, LAW = "$name/plant.py", "$name/controller.py"
-CLASSES = {"plant": "Pendulum", "controller": "Controller"}  # of the templates, by module
+CLASSES = {"plant": "Pendulum", "controller": "Controller"}  # classes in the templates, by module
 KINDS = {
     "both": Kind(
         "a plant and its control law",
@@ -130,7 +130,7 @@ def new_package(name: str, parent: Path, kind: str = "both", swap: Replaced | No
         for path in EMPTY:
             _write(folder / Template(path).substitute(values), "")
     except OSError:
-        rmtree(folder, ignore_errors=True)  # which was not there before
+        rmtree(folder, ignore_errors=True)  # the folder did not exist before
         raise
     return folder
 

@@ -50,7 +50,7 @@ from ..study.table import without_signals
 
 #: Endings of files that are read together: COMTRADE, and C with its headers.
 TOGETHER = ({".cfg", ".dat", ".hdr", ".inf"}, {".c", ".h", ".cc", ".cpp", ".cxx", ".hh", ".hpp"})
-_BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_modules"}  # not sources
+_BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_modules"}  # folders without sources
 
 
 class _Pack(NamedTuple):
@@ -265,7 +265,8 @@ def write(packed: _Pack, out: Path) -> None:
     try:
         with naming(out), zipfile.ZipFile(partial, "w") as archive:
             for name, content in files.items():
-                entry = zipfile.ZipInfo(name)  # of 1980: a file's own time would make every pack another
+                # With a date of 1980, because dates of files would make packs of the same run differ.
+                entry = zipfile.ZipInfo(name)
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
                 source = BytesIO(content) if isinstance(content, bytes) else content.open("rb")
                 with source, archive.open(entry, "w", force_zip64=True) as into:

@@ -47,7 +47,7 @@ def main(options: argparse.Namespace) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             write_figure(figure, path, dpi=300)
-        except RuntimeError as error:  # of the PGF backend
+        except RuntimeError as error:  # the PGF backend raises it
             raise ScenarioError(
                 f"{options.format}: {str(error).splitlines()[0]}; it needs LaTeX (xelatex), pdf does not"
             ) from None

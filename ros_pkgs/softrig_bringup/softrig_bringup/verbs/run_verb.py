@@ -40,7 +40,7 @@ from ..view.run_pages import page
 if TYPE_CHECKING:
     from rich.console import Console
 
-MISSED = 10.0  # per cent of missed deadlines that are worth a word
+MISSED = 10.0  # per cent of missed deadlines that are reported
 
 
 def run(options: argparse.Namespace) -> int:
@@ -51,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
         with stoppable(), nullcontext() if options.domain is None or options.only else free_domain(options.domain):
             return _run_reserved(options, begun)
     except KeyboardInterrupt as interrupt:
-        if not hasattr(interrupt, "__notes__") and not options.only:  # whose shards are what there is
+        # A part of a rig (--only) leaves its shards only.
+        if not hasattr(interrupt, "__notes__") and not options.only:
             interrupt.add_note(_lacking(options, begun[0]) if begun else "nothing was run or written")
         raise
 
@@ -61,13 +62,14 @@ def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> in
         raise ScenarioError("--realtime: runs in process have no wall clock; expected --mode processes or container")
     if options.view:
         _check_view(options)
-    if (status := admitted(options)) is not None:  # what a pack brings has to be there before any process is
+    if (status := admitted(options)) is not None:  # packages of a pack have to be installed before any process starts
         return status
     if options.mode != "inprocess":
-        prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
+        # The process starts on another core, while this one reads and checks the scenario.
+        prepare(environment(0, Path()))
     scenario = scenario_of(options)
-    rig = checked(scenario)  # before anything of an earlier run is replaced
-    check_text(repeat(options))  # the folder that it is called in, too
+    rig = checked(scenario)  # errors are reported before an earlier run is replaced
+    check_text(repeat(options))  # the folder of the call is also checked
     if options.only:
         from ..run.part import run_part
 
@@ -103,7 +105,7 @@ def _check_view(options: argparse.Namespace) -> None:
     need("bokeh", "view")
     from ..view.serve import free_address
 
-    free_address(options.address)  # before anything of an earlier run is replaced
+    free_address(options.address)  # errors are reported before an earlier run is replaced
 
 
 def _how_to_connect(domain: int, directory: Path) -> str:
@@ -127,7 +129,8 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
         folder = _without_broken_run(folder, rig)
     while why := _refusal(folder, rig, options.force):
         if options.out is not None:
-            forced = ", or --force" if why.endswith(")") else ""  # which takes no folder from who is writing there
+            # --force does not replace a folder in which a run still writes.
+            forced = ", or --force" if why.endswith(")") else ""
             raise ScenarioError(f"--out {options.out}: {why}; expected another folder{forced}")
         number += 1
         beside = ResultsFolder(out.with_name(f"{out.name}-{number}"))
@@ -231,12 +234,12 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     changed += [f"branched at {b['at_s']:.9g} s" for b in done.branched]
     done.strict, done.changed = options.strict, ", ".join(text for text in changed if text != done.stopped_at)
-    with unstopped():  # who has waited for the last tick keeps what was recorded
+    with unstopped():  # a second signal must not lose a recording that is complete
         with busy(f"computing {len(done.rig.scenario.figures)} figures"):
             figures = [] if done.error else done.results
         command = shlex.join([*words((m.package for m in done.rig.members), "run"), *repeat(options)])
         content = summary(done, figures, command, options.label) | {"changed": changed}
-        if options.external:  # the title of the scenario is about what did not run
+        if options.external:  # nodes of the scenario did not run, so its title does not apply
             content["title"] = f"{done.rig.scenario.name} with {', '.join(options.external)} from outside"
         same, messages = True, list[str]()
         if options.origin is not None:
@@ -278,7 +281,7 @@ def _write_junit(options: argparse.Namespace, done: Run) -> None:
     from .check import outcome_of, suite_of
 
     suite = suite_of(outcome_of(done, done.wall_s))
-    if done.stopped:  # nothing is judged of it
+    if done.stopped:  # a stopped run is not judged
         suite = replace(suite, cases=[replace(case, failure="") for case in suite.cases])
     write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
 
@@ -295,7 +298,7 @@ def _contradictions(like: Path) -> list[str]:
         return []
     try:
         return [f"{like}: {contradiction}" for contradiction in record_of_pack(folder).contradictions]
-    except ScenarioError as error:  # what it says of itself cannot be read; the run that was made is not lost for it
+    except ScenarioError as error:  # the record of the other run is unreadable, but the new run is kept
         return [f"{like}: {error}"]
 
 

@@ -44,7 +44,7 @@ def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
         types = {type(x) for x in value} if isinstance(value, list) else {type(value)}
         if types == {int, float}:
             value, types = [float(x) for x in value], {float}
-        if len(types) > 1 or not types <= {bool, int, float, str}:  # ROS has lists of one kind
+        if len(types) > 1 or not types <= {bool, int, float, str}:  # a ROS parameter has a list of one type
             raise ScenarioError(f"set {key}: {text!r} cannot be the value of a parameter")
         result.setdefault(node, {})[parameter] = value
     return result

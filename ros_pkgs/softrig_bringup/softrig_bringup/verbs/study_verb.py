@@ -35,7 +35,7 @@ def main(options: argparse.Namespace) -> int:
         from ..pack.trust import admitted
 
         if (status := admitted(options)) is not None:
-            return status  # of a sandbox
+            return status  # status of the sandbox
     study, before = (study_of(options), None) if options.like is None else _again(options)
     name = f"study_{study.name}-again" if before is not None else folder_name(study.name, options)
     out = options.out or Path("runs") / name

@@ -31,7 +31,7 @@ def _recorded(path: Path, address: str, namespace: str) -> int:
 
     rig, signals = rig_of_run(path, namespace)
     directory = path if (path / "metrics.json").is_file() else path.absolute().parent
-    content = json_object(directory / "metrics.json")  # empty: a bag by itself
+    content = json_object(directory / "metrics.json")  # empty for a bag without the folder of a run
     how = str(content.get("mode", "bag"))
     with stoppable():
         try:

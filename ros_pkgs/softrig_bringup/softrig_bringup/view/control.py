@@ -16,8 +16,9 @@ from softrig_core.rig.members import Member
 from softrig_core.scenario.faults import EXECUTABLE, PACKAGE
 from softrig_core.scenario.yaml_file import read_yaml
 
-KEPT = 100  # lines of what was said
-ROLES = ("law", "fault", "command", "observer", "source", "plant")  # in the order in which a page shows their knobs
+KEPT = 100  # lines of messages that are kept
+# The order in which a page shows the knobs of nodes.
+ROLES = ("law", "fault", "command", "observer", "source", "plant")
 
 Answer = Callable[[bool, str], object]
 Ask = Callable[[Mapping[str, Any], Answer], object]

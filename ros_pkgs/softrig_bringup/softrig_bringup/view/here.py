@@ -28,8 +28,8 @@ from .page import FRAME
 from .serve import Pages, new_token
 from .sources import Growing, Turned
 
-SLICE = 0.05  # s that ticks take before the page has its turn
-REST = 0.01  # s between two looks at the wall clock, where ticks wait for it
+SLICE = 0.05  # s of ticks before the page is served
+REST = 0.01  # s between two checks of the wall clock while ticks wait for it
 
 Conclude = Callable[[Run, ResultsFolder], int]
 
@@ -69,14 +69,14 @@ class SessionSource(Growing):
         super().__init__(session.rig)
         self.session, self._call, self._place = session, call, folder
         self._shard: ShardWriter | None = None
-        self._full: OSError | None = None  # why nothing more is written there
+        self._full: OSError | None = None  # why writing into the folder has ended
         self._written: Counter[str] = Counter()  # messages by topic
         self._pace = Pace(pace)
         self._seen: Counter[str] = Counter()  # messages by topic
         self.branched: list[dict[str, Any]] = []
-        self._folder = ""  # of the newest run that has ended
+        self._folder = ""  # folder of the newest completed run
         self.control = Control(session.rig, self._ask, lambda: self.end, lambda: self.outcome, held, pace)
-        self.control.buttons.clear()  # a press is a message from outside, for which a session has no place
+        self.control.buttons.clear()  # a press is a message from outside, and a session has no input for it
         self.control.goes_back = True
         session.step()
         self.read_new()
@@ -114,7 +114,7 @@ class SessionSource(Growing):
         session, before = self.session, self.session.t
         left, branch = self._folder if self.outcome else "", None
         if session.undone(t) and not self.outcome and self._place is not None:
-            branch = self._keep_branch(self._place())  # first, as what cannot be kept is not left
+            branch = self._keep_branch(self._place())  # written first: if that fails, the run does not go back
             left = branch.name
         try:
             turned = session.rewind(t)
@@ -142,7 +142,7 @@ class SessionSource(Growing):
         changes = branched(session.rig, session.recording, self.end, {})
         scenario = session.rig.scenario.having(changes=changes).model_dump(
             mode="json", exclude_defaults=True, exclude={"name", "expect", "claims", "requirements"}
-        )  # nothing is expected of a run that was tuned
+        )  # a run with changed parameters is not judged
         replace(path, write_yaml(scenario))
         return path
 
@@ -168,7 +168,7 @@ class SessionSource(Growing):
         return REST
 
     def _step(self) -> None:
-        with suppress(RunError):  # the session is over then, and says why
+        with suppress(RunError):  # the session has then ended, and reports why
             self.session.step()
 
     def read_new(self) -> None:
@@ -193,7 +193,8 @@ class SessionSource(Growing):
             for name, step in session.steps.items()
         }
         back = self.branched and session.t <= self.branched[-1]["at_s"]
-        if self._place is not None and self._full is None and not back:  # until it goes on, what was left stays there
+        # After going back nothing is written until the run has passed the place where it branched.
+        if self._place is not None and self._full is None and not back:
             try:
                 self._write(self._place)
             except OSError as error:
@@ -209,7 +210,8 @@ class SessionSource(Growing):
         if self._shard is None:
             (log := folder() / "log").mkdir(exist_ok=True)
             self._shard = ShardWriter(log / "rig.shard", [(topic.name, topic.msgtype) for topic in topics])
-        for number, topic in enumerate([*topics, *([events] if events else [])]):  # changes have the number after all
+        # Changes have the number after those of the topics.
+        for number, topic in enumerate([*topics, *([events] if events else [])]):
             new, written = topic.since(self._written[topic.name]), self._written[topic.name]
             messages = [data for part in new.parts() for data in part.messages(written)] or new.data
             for t, data in zip(new.times, messages, strict=True):
@@ -219,7 +221,7 @@ class SessionSource(Growing):
 
     def _end_log(self) -> None:
         if self._shard is not None:
-            with suppress(OSError):  # which has been said
+            with suppress(OSError):  # the error has been reported
                 self._shard.close()
         self._shard = self._full = None
         self._written.clear()
@@ -273,7 +275,8 @@ def show_here(rig: Rig, placement: Placement, address: str, folder: ResultsFolde
             written: Path | None = into.path
             try:
                 status = conclude(run, into)
-            except OSError as error:  # it is all in memory: who makes room and goes back a little has it
+            except OSError as error:
+                # The run is still in memory: with more space, and after going back a little, it can be written.
                 status, written = 3, None
                 outcome = f"it is not written: {error}; free some space, go back a little and let it end again"
                 print_line(outcome)
@@ -289,7 +292,7 @@ def show_here(rig: Rig, placement: Placement, address: str, folder: ResultsFolde
             remaining = source.turn()
             if session.over and not source.outcome:
                 end()
-        except Exception as error:  # the loop would only log it, and wait for ever
+        except Exception as error:  # the loop would only log the exception, and wait forever
             wrong = error
             loop.stop()
         else:

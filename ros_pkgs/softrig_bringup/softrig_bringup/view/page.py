@@ -36,14 +36,14 @@ from .look import BESIDE, CHANGED, RECONNECT, TEMPLATE, WIDGETS, theme
 from .pictures import Picture, plots_of
 from .sources import Source
 
-EVERY = 250  # ms: nodes hand over what they record four times a second
-FRAME = 100  # ms between two states of a page: in between the drawing moves on by what has come
-PACES = ("0.1", "0.5", "1", "2", "10", "full")  # simulated by wall-clock time
+EVERY = 250  # ms: nodes pass on their recorded data four times a second
+FRAME = 100  # ms between two states of a page; between them the drawing follows the data that have arrived
+PACES = ("0.1", "0.5", "1", "2", "10", "full")  # simulated time divided by wall-clock time
 WINDOWS = ("0.1", "0.5", "2", "10", "60", "all")  # s
-WIDE = 20  # times the value (or 1) that a slider spans at most before it shows a part of it
-HUGE = 1e9  # what is written with an exponent from here on: fields are ten digits wide
+WIDE = 20  # largest range of a slider, in multiples of the value (or of 1); beyond it the slider shows a part
+HUGE = 1e9  # from here on numbers have an exponent, because fields are ten digits wide
 SLOW = 10  # frames between two states of the tables
-WHAT = {"law": "", "fault": "fault"}  # beside the name of a node, by its role; others by that
+WHAT = {"law": "", "fault": "fault"}  # text beside the name of a node, by its role; for other roles the role itself
 
 
 class Page:
@@ -73,12 +73,13 @@ class Page:
         self._source, self._control, self._figures = source, control, figures
         self._author, self._how = author, how
         self._sheet, self._narrow_sheet = InlineStyleSheet(css=WIDGETS), InlineStyleSheet(css=BESIDE)
-        self._calm = False  # what changes is changed by us
+        self._calm = False  # whether changes of widgets come from this class
         self._shown: tuple[Any, ...] = ()
         self._texts: tuple[Any, ...] = ()
         self._shown_state: tuple[Any, ...] = ()
         self._count = 0
-        self._at = self._speed = self._ahead = 0.0  # of the drawing: s, s a frame, newest that it knew of
+        # Of the drawing: time (s), s per frame, newest time of the data (s).
+        self._at = self._speed = self._ahead = 0.0
         self._drawn_at = -1.0
         self.time = Range1d(0.0, source.length)
         self._cursor = Span(dimension="height", location=math.nan, line_color=CHANGED[look], line_width=1.5)
@@ -95,7 +96,7 @@ class Page:
         self._beat, self._echo = self._div("beat", visible=False), self._div("echo", visible=False)
         shown = CustomJS(args={"beat": self._beat, "echo": self._echo}, code="echo.text = beat.text")
         self._beat.js_on_change("text", shown)
-        document.js_on_event("document_ready", shown)  # the first state has come with the page itself
+        document.js_on_event("document_ready", shown)  # the page itself contains the first state
         self.time.on_change("start", self._moved)
         self.time.on_change("end", self._moved)
         top = [self._head, row(*self._bar(), sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})]
@@ -146,7 +147,7 @@ class Page:
         def press() -> None:
             self._control.press(self._author, node, name)
 
-        return self._button(f"{node}: {name}", press, f"{node}/{name}", width=None)  # as wide as its words
+        return self._button(f"{node}: {name}", press, f"{node}/{name}", width=None)  # as wide as its text
 
     def _bar(self) -> list[Any]:
         """Create the bar: window of time, follow; pause and step if the run can be paused."""
@@ -318,9 +319,9 @@ class Page:
         known = {name: pane[name] for name in drawing.signals if name in pane}
         past = rows(known, np.linspace(max(0.0, t - drawing.trail), t, PAST)) if drawing.trail and known else ()
         try:
-            now = rows(known, np.array([t]))[0] if known else {}  # at rest before anything has come
+            now = rows(known, np.array([t]))[0] if known else {}  # the drawing is at rest before the first data
             self._drawn.text = still(drawing, drawing.frame(now, past), self._theme == "dark")
-        except Exception as error:  # of somebody's plant: the page goes on without it
+        except Exception as error:  # a drawing of a user's plant may fail; the page continues without it
             self._drawing = None
             self._drawn.text = f"<p class=wrong>{drawing.title}: no drawing: {html.escape(repr(error))}</p>"
 
@@ -348,7 +349,7 @@ class Page:
         try:
             try:
                 changed = self._draw()
-            except (ValueError, TypeError, ArithmeticError):  # a window that no page of ours asks for
+            except (ValueError, TypeError, ArithmeticError):  # a request for a window that this page does not offer
                 self._window.value, self._follow.active = "all", True
                 changed = self._draw()
             self._count += 1

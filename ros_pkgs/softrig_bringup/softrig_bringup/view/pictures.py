@@ -18,11 +18,12 @@ from ..plots.style import MANY, axis_title, quantity
 from .look import CHANGED, COLOURS, INK, SOFT
 from .tracks import Pane
 
-DASHED = ([6, 4], [2, 3], [11, 3, 2, 3])  # of references, as in printed pictures
-AXIS = 84  # pixels left of all pictures: their times are below one another
-COLUMNS = 500  # pixel columns of a picture: a curve has at most four points in each
-LOW = "@media (max-width: 800px) { :host { height: 230px !important; } }"  # knobs below it stay in sight
-LEGEND = 3  # curves beside each other in it: more are two lines on a narrow page
+DASHED = ([6, 4], [2, 3], [11, 3, 2, 3])  # dashes of references, as in printed pictures
+AXIS = 84  # pixels left of all pictures, so that their time axes are aligned
+COLUMNS = 500  # pixel columns of a picture, each with at most four points of a curve
+# Low pictures, so that the knobs below remain visible.
+LOW = "@media (max-width: 800px) { :host { height: 230px !important; } }"
+LEGEND = 3  # curves beside each other in the legend; more would need two lines on a narrow page
 TOOLS = "xpan,box_zoom,xwheel_zoom,save"
 
 
@@ -48,7 +49,7 @@ class Picture:
     def __init__(
         self, entry: PlotEntry, rig: Rig, time: Range1d, cursor: Span, changes: ColumnDataSource, theme: str
     ) -> None:
-        self._entry = entry.model_copy(update={"window": None})  # the reader chooses
+        self._entry = entry.model_copy(update={"window": None})  # the reader of the page chooses the window
         self._curves = Curves(Pane({}), rig)  # type: ignore[arg-type]
         self._theme = theme
         self.sources: dict[str, ColumnDataSource] = {}
@@ -130,7 +131,7 @@ class Picture:
     def _lines(self, value: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
         lines, colours, dashes = [], iter(COLOURS[self._theme] * len(names)), iter(DASHED * len(names))
         alone = all(named[name].reference for name in names)
-        for name in sorted(names, key=lambda n: named[n].reference):  # references on top
+        for name in sorted(names, key=lambda n: named[n].reference):  # references are drawn on top
             curve = named[name]
             dark = curve.reference and not alone
             style: dict[str, Any] = {"line_color": INK[self._theme] if dark else next(colours)}

@@ -38,7 +38,7 @@ class Remote:
             env=environment(domain, directory),
             text=True,
             stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,  # in the group of the page, which is ended as a whole if need be
+            stdout=subprocess.PIPE,  # in the process group of the page, so that both can be ended together
         )
         self._asked: dict[int, Answer] = {}
         self._numbers = count()
@@ -60,7 +60,7 @@ class Remote:
     def _listen(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            with suppress(ValueError):  # no line of ours: what a library prints
+            with suppress(ValueError):  # lines that a library prints are skipped
                 content = json.loads(line)
                 self._call(lambda content=content: self._asked.pop(content["id"])(content["ok"], content["reason"]))  # type: ignore[misc]
 

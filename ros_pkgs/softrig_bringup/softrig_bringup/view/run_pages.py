@@ -17,7 +17,7 @@ from softrig_nodes.processes.placement import Placement
 
 from .remote import Remote, let_go
 
-RESTARTS = 3  # of a page that breaks
+RESTARTS = 3  # restarts of a page that has failed
 
 
 class RunPages:
@@ -44,9 +44,9 @@ class RunPages:
             "how": str(placement),
         }
         self._process: subprocess.Popen[str] | None = None
-        self._ends = False  # whether its end is no break
+        self._ends = False  # whether the end of the process is intended
         self.keeper = threading.Thread(target=self._keep, daemon=True)
-        self.stream: Any = None  # where it says its address; this process's own error stream if that is nowhere
+        self.stream: Any = None  # where the page's address is printed; None: the error stream of this process
 
     def open(self, domain: int) -> None:
         """Serve the page of a rig in this domain."""
@@ -73,7 +73,7 @@ class RunPages:
             print_line(f"the page has broken (status {status}): {outcome}")
             if left:
                 self._process = self._start()
-        if self._watched["paused"]:  # nobody could have it go on
+        if self._watched["paused"]:  # without a page nobody could continue a paused run
             rig = rig_of(Scenario.model_validate(self._watched["scenario"]))
             remote = Remote(self._watched["domain"], self._directory, lambda call: call())
             remote.ask({"node": rig.clock.name, "call": "resume"}, lambda done, reason: remote.close())

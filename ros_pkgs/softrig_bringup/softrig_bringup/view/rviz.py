@@ -13,7 +13,7 @@ from softrig_core.block.port import WORLD
 from softrig_core.block.scene import scene_of
 from softrig_core.guard import replace
 
-ROOTED = ("clock", "tf", "tf_static")  # topics whose names are absolute
+ROOTED = ("clock", "tf", "tf_static")  # topics with absolute names
 
 
 @dataclass(frozen=True)

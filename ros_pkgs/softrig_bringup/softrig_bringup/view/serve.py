@@ -39,15 +39,15 @@ from .page import EVERY, Page, bare
 from .remote import Remote
 from .sources import Live, Source
 
-SHOWN = 5  # lines about what browsers say wrongly; of the rest powers of ten
-LARGEST = 1 << 20  # bytes of what a browser may say at once: pages of ours say some hundred
+SHOWN = 5  # repeated messages about bad requests that are printed; later ones only at powers of ten
+LARGEST = 1 << 20  # bytes of one message of a browser; pages send some hundred
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 PAGE = "/view"
-AWAY = 5000  # ms that a browser may be gone: it may be loading the page again
+AWAY = 5000  # ms that a browser may be disconnected, because it may be loading the page again
 # s in which a browser answers a ping, or its connection is closed: what is sent to one that was suspended or has lost
 # its network would be kept in memory
 GONE = 30.0
-SHARE = 10.0  # figures take at most one part in so many of the time
+SHARE = 10.0  # 1/n of the time that the computation of figures may take
 
 
 class Watched(BaseModel):
@@ -121,7 +121,7 @@ class _Token(AuthProvider):  # type: ignore[misc]
         super().__init__()
 
     @property
-    def get_user_async(self) -> Any:  # every version of Bokeh asks it before it answers, of a websocket, too
+    def get_user_async(self) -> Any:  # Bokeh calls it before it answers any request, also for a websocket
         async def user(handler: RequestHandler) -> str:
             if self._names and handler.request.host_name.strip("[]") not in self._names:
                 raise HTTPError(403, reason="the page is served to this host only, expected its own address")
@@ -136,7 +136,7 @@ class _Token(AuthProvider):  # type: ignore[misc]
 
     @property
     def login_url(self) -> str:
-        return "/"  # wanted by Bokeh; who is refused is sent nowhere
+        return "/"  # Bokeh requires it; a refused browser is not redirected
 
 
 class _ToPage(RequestHandler):
@@ -158,7 +158,7 @@ def free_address(address: str) -> tuple[str, int]:
     if not port.isdecimal() or int(port) > 65535:
         raise ScenarioError(f"--address {address!r}: expected HOST:PORT, port 0 for a free one")
     try:
-        sockets, chosen = bind_sockets(host, int(port))  # what the browser's pages may come from names the port
+        sockets, chosen = bind_sockets(host, int(port))  # the allowed origins of a page contain the port
         for server in sockets:
             server.close()
     except OSError as error:
@@ -197,14 +197,14 @@ class Pages:
         self._next, self._busy = 0.0, False
         self.visited = False
         host, chosen = free_address(address)
-        reported = OneLine()  # one for all: three lines a message are a flood, too
+        reported = OneLine()  # one for all browsers: three lines for each message would be too many
         for name in ("bokeh.server.protocol_handler", "bokeh.server.views.ws", "tornado.application"):
             logging.getLogger(name).addFilter(reported)
-        for name in ("bokeh.server.views.ws", "bokeh.server.contexts"):  # a browser may be closed at any moment
+        for name in ("bokeh.server.views.ws", "bokeh.server.contexts"):  # a browser may disconnect at any moment
             logging.getLogger(name).setLevel(logging.ERROR)
         if host in LOOPBACK:
             origins = [f"{name}:{chosen}" for name in ("localhost", host)]
-        else:  # whoever has the token may come by any name of this host, and Bokeh need not warn of that
+        else:  # the token protects the page, so any name of this host is allowed, without Bokeh's warning
             logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
             origins = ["*"]
         try:
@@ -234,7 +234,7 @@ class Pages:
         author = f"browser {number}"
         try:
             Page(document, self._source, self._control, self._figures, author, self._how, text)
-        except Exception as error:  # of somebody's plant or plots: the run can be told to go on without them
+        except Exception as error:  # code of a user's plant or plots may fail; the run can continue without a page
             print_line(f"a page cannot be shown: {type(error).__name__}: {error}")
             document.clear()
             bare(document, self._control, author, error)
@@ -248,7 +248,7 @@ class Pages:
 
     def _figures(self) -> tuple[Sequence[Result], bool]:
         if self._source.results:
-            stopped = self._source.outcome.startswith("stopped")  # nothing is judged of it
+            stopped = self._source.outcome.startswith("stopped")  # a stopped run is not judged
             return [Result.read(r) for r in self._source.results], stopped
         return self._results, True
 
@@ -274,7 +274,7 @@ class Pages:
     def close(self) -> None:
         """Stop the server."""
         self._worker.shutdown(cancel_futures=True)
-        self.server.unlisten()  # its sessions end with the process
+        self.server.unlisten()  # the sessions end with the process
 
 
 def serve(source: Source, how: str, address: str) -> None:
@@ -291,13 +291,13 @@ def serve(source: Source, how: str, address: str) -> None:
 
 def serve_run(watched: Watched, lines: Any) -> None:
     """Show a run in progress until it has ended and no browser is connected, or until `lines` ends."""
-    os.nice(10)  # the loop comes first
+    os.nice(10)  # lower priority than the loop
     rig = rig_of(Scenario.model_validate(watched.scenario))
     loop = IOLoop.current()
     directory = Path(watched.directory)
     source = Live(rig, directory, watched.realtime)
     remote = Remote(watched.domain, directory, loop.add_callback)
-    guests = any(m.external for m in rig.members)  # who do not stand with the clock
+    guests = any(m.external for m in rig.members)  # external nodes do not pause with the clock
     held = None if rig.clock.external or (watched.realtime and guests) else watched.paused
     pace = None if watched.realtime else watched.pace
     control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held, pace)
@@ -310,7 +310,7 @@ def serve_run(watched: Watched, lines: Any) -> None:
         source.read_new()
         now = source.status[control.clock] if held is not None else {}
         known = (now["held"], None if watched.realtime else now["pace"]) if "pace" in now else paced
-        if paced != (paced := known):  # whoever has changed it
+        if paced != (paced := known):  # the pace has changed, here or elsewhere
             control.held, control.pace = paced
         for change in source.changes[reported:]:
             control.log_change(*change)
@@ -341,7 +341,7 @@ def serve_run(watched: Watched, lines: Any) -> None:
 
 def main() -> int:
     """Serve beside a run: one argument, a file with `Watched` as JSON."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides when it ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides when the page ends
     asyncio.set_event_loop(asyncio.new_event_loop())
     try:
         serve_run(Watched.model_validate_json(Path(sys.argv[1]).read_text()), sys.stdin)

@@ -21,7 +21,7 @@ from softrig_nodes.processes.peers import starter
 
 from .tracks import Pane, Track
 
-LATELY = 12  # looks over which a speed is measured
+LATELY = 12  # reads of the data over which the speed is measured
 Turned = tuple[float, str, Mapping[str, Any]]  # s, node, new values
 
 
@@ -80,7 +80,7 @@ class Growing:
             if not p.sporadic
         }
         self._marks: deque[tuple[float, float]] = deque(maxlen=LATELY)
-        self._complete = time.monotonic()  # s, when all nodes were last there
+        self._complete = time.monotonic()  # time (s) at which all nodes were last present
 
     @property
     def speed(self) -> float:

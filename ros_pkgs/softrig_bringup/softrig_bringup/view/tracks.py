@@ -11,7 +11,7 @@ from softrig_core import Array
 from softrig_core.wire.signals import Signal, Table, full_name, topic_of
 
 ROWS = 200_000  # messages of a topic that are kept
-_BUCKET = 4  # old messages of which the lowest and the highest value stay
+_BUCKET = 4  # old messages of which the lowest and the highest value are kept
 
 
 class Track:
@@ -37,7 +37,8 @@ class Track:
 
     def append(self, t: Array, columns: Mapping[str, Array]) -> None:
         """Add messages; a channel that is new or missing is NaN where it is not."""
-        most = self._limit // 5  # beside what is left of a full track that is thinned: three quarters and two more
+        # Besides the remaining messages of a track that is thinned: three quarters and two more.
+        most = self._limit // 5
         for first in range(0, len(t), most):
             rows = slice(first, first + most)
             self._append(t[rows], {label: x[rows] for label, x in columns.items()})

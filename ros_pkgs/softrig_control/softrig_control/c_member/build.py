@@ -24,7 +24,7 @@ from softrig_core.kit.compiled import FLAGS, kept
 
 from .layout import LayoutError, Leaf, Struct, structs
 
-PATIENCE = 300.0  # s that a compiler may take
+PATIENCE = 300.0  # s that a compiler may need
 MACHINES = {"x86_64": "EM_X86_64", "aarch64": "EM_AARCH64"}
 SHIM = ("-O2", "-ffp-contract=off", "-Wno-unused-function", "-Werror=incompatible-pointer-types")
 PROTOTYPES = {
@@ -305,7 +305,8 @@ def _readable(name: str) -> str:
         return name
     text = ctypes.string_at(address).decode()
     ctypes.CDLL(None).free(ctypes.c_void_p(address))
-    return re.sub(r"::h[0-9a-f]{16}$", "", text.replace("(anonymous namespace)::", ""))  # a hash of rustc
+    # Remove the hash that rustc appends.
+    return re.sub(r"::h[0-9a-f]{16}$", "", text.replace("(anonymous namespace)::", ""))
 
 
 def _is_others(name: str) -> bool:

@@ -21,7 +21,7 @@ from .build import Built
 
 SIGNAL, RANGE, CONSTANT, MODE = 1e6, 2e6, 3e6, 4e6  # as in shim.c
 LEAVE = 1.0  # s: after which a process that does not end is killed
-PRINTED = 1 << 16  # bytes that a library may print before it ends; the rest is dropped
+PRINTED = 1 << 16  # bytes of output that a library may print before it ends; the rest is dropped
 Row = tuple[float, ...]
 
 

@@ -15,7 +15,7 @@ from softrig_core.wire.types import TYPES
 from ..channels import FIELDS, port_of
 from .layout import Leaf
 
-HAS = "has_"  # before the name of a port: whether it has a value
+HAS = "has_"  # prefix of a flag: whether the port has a value
 ENTRY = re.compile(
     r"(?P<topic>\S+)/(?P<channel>[^\s/\[]+)/(?P<field>[a-z]+)\s*\[(?P<unit>[^\]]*)\]\s*=\s*(?P<name>\S+)"
 )

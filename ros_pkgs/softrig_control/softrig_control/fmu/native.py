@@ -29,7 +29,7 @@ from .slave import unit_definitions, variable
 KINDS = {float: "REAL", int: "INTEGER", bool: "BOOLEAN"}
 NAMES = {2: {"REAL": "Real", "INTEGER": "Integer", "BOOLEAN": "Boolean"},
          3: {"REAL": "Float64", "INTEGER": "Int64", "BOOLEAN": "Boolean"}}  # fmt: skip
-ROWS, DRAWN = 2000, 500  # calls by which the forms of the C are found
+ROWS, DRAWN = 2000, 500  # calls that determine the C forms
 PROGRAMS = ("_replay.c", "_main.c")
 HEADERS = {2: "fmi2", 3: "fmi3"}
 
@@ -47,7 +47,7 @@ class Variable:
     doc: str
     low: float | None = None
     high: float | None = None
-    flag: str = ""  # in C, whether an optional input has a value; empty for all others
+    flag: str = ""  # C flag of an optional input, which tells whether it has a value; empty for other inputs
 
 
 def export_native(rig: Rig, node: str, folder: Path, start: Mapping[str, Sequence[float]], version: int) -> Path:

@@ -13,7 +13,7 @@ KINDS3 = (
     *("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"),
     *("Boolean", "String", "Enumeration", "Binary", "Clock"),
 )
-KIND = "KIND"  # stands for each of them in the table
+KIND = "KIND"  # the table has this in place of each of them
 _PEOPLE: Entry = ("used", "for people only")
 _TOOLS: Entry = ("used", "only for tools that do more than steps with held inputs; no result depends on it")
 _USED: Entry = ("used", "")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from ..block.block import Plant
 
-STEP = 1e-3  # of the differences, relative: their error is of order STEP^4, their rounding of 1e-16/STEP
+STEP = 1e-3  # relative step of the differences: their error is of order STEP^4, their rounding of 1e-16/STEP
 
 
 class Linear(NamedTuple):

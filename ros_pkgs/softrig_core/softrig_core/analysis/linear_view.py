@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 
 # Powers of two are added to a state without rounding where this is possible.
 STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # shares of the size of the state or input that is moved
-AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
+AGREED = 1e-11  # difference of neighbouring steps below which smaller steps are not tried
 CHECKED = 10  # periods of the whole over which the linear rig is compared with the rig
 COMPARED_PERIODS = 40  # periods over which each output is compared
 # An output may be off by this share of its largest value; where the states are off, by a hundred times as much as they.
 LEFT_OUT = 1e-3
 LATER = 3  # further periods at which the rows of an output are computed, because they may differ from tick to tick
-FOLLOWED = 200  # periods that can be run from where the view is
+FOLLOWED = 200  # periods that may be run from the state of the view
 # All states together are moved by this share of the steps of their columns.
 NEARER = 2.0**-8
 ROUNDS = 5  # rounds in which sizes are found for states that are zero in the run
@@ -53,7 +53,7 @@ MOST = 800  # states; a long delay has more, and longer steps make them fewer
 TRIED = 2000  # numbers that may be moved to see whether they are states
 ON_CIRCLE = 1e-6  # a least singular value of z - A below this share of the sizes of z and A confirms a pole at z
 NOTHING = 1e-12  # a sum below this share of the sizes of its terms is rounding alone
-DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
+DEAD = 1e-4  # magnitude of a pole below which its motion ends within a period
 
 
 class Margins(NamedTuple):
@@ -613,7 +613,7 @@ class Differences:
         self.measured = [*outputs, *([link] if link else [])]
         # A limit that is not set is infinite, and infinity cannot be moved.
         self.finite = np.isfinite(state_map.start)
-        self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
+        self.columns: dict[int | str, tuple[Array, Array]] = {}  # numbers by place, and signals by name
         self.errors: dict[int | str, float] = {}
         self.steps: dict[int | str, float] = {}
 

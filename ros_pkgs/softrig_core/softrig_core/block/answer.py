@@ -105,7 +105,7 @@ def _squares(p: tuple[Any, ...], q: tuple[Any, ...]) -> Any:
 
 
 only_floats = frozenset({float}).issuperset
-sum_of_products = getattr(math, "sumprod", _squares)  # from Python 3.12 on
+sum_of_products = getattr(math, "sumprod", _squares)  # Python 3.12 and later have it
 
 
 def flat(rows: Any) -> tuple[float, ...]:

@@ -23,7 +23,7 @@ from .step import Step
 STRETCH = SECOND // 100  # ns: against the wall clock, what an observer has seen is older by so much at most
 # The largest batch of a run in process, in ticks; a larger one saves no more time and takes memory.
 MANY = 1 << 12
-EVER = -(1 << 63)  # ns, before all stamps
+EVER = -(1 << 63)  # ns: earlier than all stamps
 NOTHING: Mapping[str, Any] = {}
 
 

@@ -12,7 +12,7 @@ from ..wire.cdr import Layout
 from ..wire.types import TYPES, Dims, MessageType, element_labels
 
 XYZ = ("x", "y", "z")
-WORLD = "world"  # the frame of a rig that does not move: of every message that is of no other one
+WORLD = "world"  # the frame at rest, for messages that name no other
 
 # Largest plausible magnitude by unit: a value beyond it is not a measurement, and its square or exponential would
 # overflow in a controller. The last is that of any other unit.

@@ -195,7 +195,7 @@ class Schedule:
         return result if result <= t else self._time(k - 1)
 
 
-schedule_of = lru_cache(maxsize=256)(Schedule)  # runs of a study have the same ones
+schedule_of = lru_cache(maxsize=256)(Schedule)  # cached, because the runs of a study have the same schedules
 
 
 class Plan:

@@ -1,3 +1,3 @@
 """Boards in a rig: frames, wires, and blocks whose ticks run on a board."""
 
-SIMULATORS = ("simavr", "qemu", "program")  # here, as who reads a port need not load all of a board's entry
+SIMULATORS = ("simavr", "qemu", "program")  # defined here, so that code which reads a port need not import the rest

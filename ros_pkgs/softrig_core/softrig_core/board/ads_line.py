@@ -24,7 +24,7 @@ WHAT = "a node on a PLC"
 ROUTER = 48898  # TCP port of ADS
 NUMBERS = 1 << 32
 HEAD, TAIL = struct.Struct("<II"), struct.Struct("<I")  # number and session; the number again, against torn copies
-POLL = 0.0005  # s between two looks at the answer
+POLL = 0.0005  # s between two polls of the answer
 BUILD = 17  # bytes of a STRING(16)
 
 
@@ -264,10 +264,10 @@ def _connected(port: str, program: str, wait: float) -> Plc:
         It is not there.
     """
     match = re.fullmatch(r"([\d.]+)(?:@([^/]+))?/(\d+)", port.removeprefix(ADS))
-    assert match is not None  # `LinkEntry` has seen to that
+    assert match is not None  # ensured by `LinkEntry`
     net, number = match[1], int(match[3])
     host = socket.gethostbyname(match[2] or ".".join(net.split(".")[:4]))
-    if not _hosts.get((os.getpid(), host)):  # pyads waits for minutes where nobody answers
+    if not _hosts.get((os.getpid(), host)):  # pyads would wait for minutes if the address does not answer
         socket.create_connection((host, ROUTER), timeout=wait).close()
     return Connected(net, number, host, program, wait)
 

@@ -65,5 +65,5 @@ class Apart:
             arguments = self._jobs.get()
             try:
                 self._ends.put((self._opened(*arguments), None))
-            except Exception as error:  # whatever it is, the next tick raises it
+            except Exception as error:  # the next tick raises it, whatever it is
                 self._ends.put((None, error))

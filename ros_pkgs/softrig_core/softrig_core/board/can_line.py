@@ -18,7 +18,7 @@ from .line import PATIENCE, REOPEN, Build
 from .remote import RemoteLine
 
 RUNS = 1 << 8
-PAUSE = 0.0005  # s after a line that cannot be read: the next one may be no better
+PAUSE = 0.0005  # s to wait after an unreadable line, because the next one may be unreadable, too
 MOST = 500  # frames between two ticks: some 10 ms of work
 Key = tuple[int, bool]
 Parts = dict[Key, dict[int, float]]
@@ -68,10 +68,10 @@ class CanLine(RemoteLine):
         """Begin a run with the next request; the node has its own parameters, so `params` is empty."""
         self._run = (self._run + 1) % RUNS
         self._tick = -1
-        self._parts: Parts = {}  # of the answer that is awaited or was taken last
+        self._parts: Parts = {}  # parts of the awaited or newest answer
         self._received_at: dict[Key, float] = {}
         self._missing.clear()
-        self._ready: int | None = None  # the build that the node has said
+        self._ready: int | None = None  # the build that the node has reported
         self._asked = -math.inf  # when the node was asked for its build
         self.joined = self._messages.ready is None
 
@@ -188,7 +188,8 @@ class CanLine(RemoteLine):
         number, extended = frame.key
         try:
             self._connection.send(can.Message(arbitration_id=number, is_extended_id=extended, data=data), self.timeout)
-        except (can.CanError, OSError, ValueError):  # a full queue, too; of a bus that is gone reading fails as well
+        except (can.CanError, OSError, ValueError):
+            # The queue may also be full; if the bus has failed, reading fails as well.
             self.counts.damaged += 1
 
     def _await(self, done: Callable[[], bool], end: float) -> bool:

@@ -15,7 +15,7 @@ from ..errors import RunError, ScenarioError
 from ..runners import find_runner
 from .elsewhere import Elsewhere, LinkState
 
-WAITS = "waits for its external node"  # in each report: whoever reads the log of a process looks for it
+WAITS = "waits for its external node"  # part of each report, so that code that reads a process's log can find it
 
 
 class ClockEntry(Entry):
@@ -105,7 +105,7 @@ def clocked(block: type[Block], entry: ClockEntry, params: Any, label: str) -> t
     ScenarioError
         It is a plant, or has ports of kinds that such a node cannot have, or `reads` contains a name that is no input.
     """
-    if issubclass(block, Clocked):  # of a rig that is made again, with other parameters
+    if issubclass(block, Clocked):  # the rig may be made again with other parameters
         return block
     inputs, outputs = block.ports(params)
     if issubclass(block, Plant):

@@ -22,7 +22,7 @@ from .entry import contents_of
 
 TICK, RUN, BUILD = "tick", "run", "build"
 BITS = {TICK: 16, RUN: 8, BUILD: 32}
-HEAD = BITS[TICK] + BITS[RUN]  # of each message with values
+HEAD = BITS[TICK] + BITS[RUN]  # bits of the counters at the beginning of each message with values
 NUMBERS = 1 << BITS[TICK]
 FRAME_BITS, WORD = 64, 32
 LARGEST_FLOAT = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
@@ -234,7 +234,7 @@ def _loaded(file: Path, link: str) -> Any:
         raise ScenarioError(f"{link} has {error}; `softrig export dbc` writes the node's alone") from None
     try:
         return _parsed(text)
-    except Exception as error:  # of a damaged file the parser lets many kinds escape
+    except Exception as error:  # for a damaged file the parser raises many kinds of errors
         first = str(error).strip().partition("\n")[0] or type(error).__name__
         raise ScenarioError(f"{link} is no DBC ({first[:200]})") from None
 

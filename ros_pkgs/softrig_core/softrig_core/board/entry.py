@@ -109,7 +109,7 @@ def _owned(node: str, entry: LinkEntry) -> list[tuple[str, str]]:
         return [(port, f"port, {entry.port}")]
     try:
         text = contents_of(Path(entry.firmware)).decode("cp1252", "replace")  # as DBC files are written
-    except (OSError, ValueError):  # reported where the file is read
+    except (OSError, ValueError):  # the function that reads the file reports the error
         return []
     ids = re.findall(rf"(?m)^BO_ (\d+) {re.escape(node)}_(?:to|from)_\d+ *:", text)
     return [(f"{entry.port} {i}", f"CAN identifier, {int(i) & 0x1FFFFFFF:#x} at {entry.port}") for i in ids]

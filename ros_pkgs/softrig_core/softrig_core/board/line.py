@@ -15,7 +15,7 @@ from .wires import Wire
 
 PATIENCE = 16  # timeouts without an answer, after which the board is given up
 SETTLE = 0.05  # s after an answer to a hello: a second board on the wire would have answered by then
-TRIES = 3  # of a reset or of parameters, before another hello
+TRIES = 3  # attempts of a reset or of parameters, each after a new hello
 REOPEN = 0.1  # s between two tries to open a port
 NUMBERS = 1 << 16
 REMEMBERED = 64  # numbers of requests without an answer, to tell late ones from strays
@@ -375,7 +375,7 @@ class Line:
         except OSError as error:
             self._why = error.strerror or str(error) or "the program has ended"
             return False
-        except ScenarioError as error:  # waiting does not help
+        except ScenarioError as error:  # waiting would not remove the error
             raise RunError(str(error)) from None
         self._splitter = Splitter()
         self._inbox.clear()

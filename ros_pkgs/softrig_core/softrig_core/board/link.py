@@ -213,7 +213,7 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, label: str) -> typ
     ScenarioError
         The firmware cannot be read, or is of another block or of other parameters.
     """
-    if issubclass(block, Linked):  # of a rig that is made again, with other parameters
+    if issubclass(block, Linked):  # the rig may be made again with other parameters
         block = block.__bases__[1]
     if finishes(block):
         raise ScenarioError(f"{label}: link: a block that publishes at the end of a run can only run in this process")
@@ -225,7 +225,7 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, label: str) -> typ
 def _of_signals(block: type[Block], entry: LinkEntry, params: Any) -> tuple[Path, Mapping[str, Any]]:
     """Return the file with the signals of a node, and the requirements of its program."""
     file, text = Path(entry.firmware), b""
-    with suppress(OSError, ValueError):  # what is wrong with it is reported where the node's name is known
+    with suppress(OSError, ValueError):  # errors are reported where the node's name is known
         text = contents_of(file)
     period = Fraction(params.period).limit_denominator(10**9)
     known = {

@@ -103,7 +103,8 @@ class Simulated(FileWire):
         try:
             self._process.wait(END)
             self._output.seek(0)
-            counted = next(line for line in self._output if line.startswith(b"{"))  # libsimavr has lines of its own
+            # The library libsimavr may print lines in front of it.
+            counted = next(line for line in self._output if line.startswith(b"{"))
             return dict(json.loads(counted))
         except (ValueError, RecursionError, StopIteration, subprocess.TimeoutExpired):
             return {}
@@ -114,7 +115,7 @@ class Simulated(FileWire):
         self._process.terminate()
         try:
             self._process.wait(END)
-        except subprocess.TimeoutExpired:  # a program that does not want to end
+        except subprocess.TimeoutExpired:  # the program does not end by itself
             self._process.kill()
             self._process.wait()
         self._output.close()

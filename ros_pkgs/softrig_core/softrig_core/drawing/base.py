@@ -15,7 +15,7 @@ from .shapes import Pen, Point, Shape
 
 Row = Mapping[str, float]
 
-NOTHING = "–"  # in place of a value that has not come
+NOTHING = "–"  # text in place of a value that has not arrived
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from .kinds import (
 )
 from .unit import FIXED, WHOLE, Unit, Value, literal
 
-SHOWN = 60  # letters of a statement in a refusal
+SHOWN = 60  # letters of a statement that a refusal shows
 VARIANTS = 12  # of a name of Python that has several types, one after the other
 
 
@@ -147,7 +147,7 @@ class Base:
             v = self.named(value)
             inner = self.coerced(Value(value.kind.item, f"{v.c}.item"), kind.item)
             return Value(kind, f"({self.unit.c(kind)}){{ .some = {v.c}.some, .item = {inner.c} }}")
-        if isinstance(value.kind, Maybe):  # it must be there
+        if isinstance(value.kind, Maybe):  # a value that may be missing has to be present here
             v = self.named(value)
             self._check(f"!{v.c}.some")
             return self.coerced(Value(value.kind.item, f"{v.c}.item"), kind)

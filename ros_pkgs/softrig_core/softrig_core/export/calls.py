@@ -145,7 +145,7 @@ class Calls(Expressions):
         if called is getattr(math, name, None):
             if name in ("isfinite", "isnan", "isinf"):
                 return Value(BOOL, f"sr_{name}({self.coerced(args[0], REAL).c})")
-            if name == "floor":  # a whole number in Python
+            if name == "floor":  # in Python the result is an integer
                 return Value(INT, f"sr_floor_int({self.coerced(args[0], REAL).c})")
             if name in ("ceil", "trunc"):
                 return Value(INT, f"sr_int(SR_MATH({name})({self.coerced(args[0], REAL).c}))")

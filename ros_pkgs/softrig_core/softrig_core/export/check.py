@@ -74,7 +74,7 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
     ScenarioError
         A tool is missing, the compiler refuses the code, or the program does not end by itself.
     """
-    program = folder.resolve() / f"{name}_replay.elf"  # it runs in the folder, where a relative path is another
+    program = folder.resolve() / f"{name}_replay.elf"  # it runs in the folder, so a relative path would be wrong
     about = json.loads((folder / f"{name}.json").read_text())
     files = [f"{name}_replay.c", f"{name}.c", *about["sources"]]
     flash = 0

@@ -18,7 +18,7 @@ from .golden import golden_calls, member_of
 from .rig_c import rig_files
 
 ROWS, DRAWN = 5000, 2000  # calls of the run, and of drawn inputs
-NOTED = 1e-3  # of a channel's scale: a difference of single precision that is named
+NOTED = 1e-3  # share of a channel's scale from which on a difference of single precision is reported
 # What to write in place of Python that has no C. The first pattern that a reason has decides.
 ADVICE = {
     r": its state": "keep numbers, named tuples and arrays of numbers in the state",

@@ -18,10 +18,10 @@ from .golden import Call, Changed, answer_of, kept_of, keys_of, methods
 
 # zeros of both signs, the smallest numbers, large ones, and numbers that no port accepts but C may receive
 ODD = (0.0, -0.0, 5e-324, -5e-324, 1e-308, 1e-30, 1.0, -1.0, 1e30, -1e300, math.inf, -math.inf, math.nan)
-SHARE_ODD = 0.04  # of the numbers
-SHARE_WIDE = 0.1  # of the numbers: a thousand times what the run had
-SHARE_ABSENT = 0.1  # of the values of a held input
-AGAIN = 50  # calls after which a sequence begins from the first state again: what is odd may have ended it
+SHARE_ODD = 0.04  # share of drawn numbers that are odd values
+SHARE_WIDE = 0.1  # share of drawn numbers that are up to a thousand times those of the run
+SHARE_ABSENT = 0.1  # share of drawn values of a held input that are absent
+AGAIN = 50  # calls after which a sequence begins again, because an odd value may have ended it
 
 
 @dataclass(frozen=True)

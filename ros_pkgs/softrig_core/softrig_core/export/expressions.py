@@ -35,7 +35,7 @@ from .unit import WHOLE, Value, bare, literal
 
 ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*"}
-TINY = 1e-30  # what is smaller may be 0 in single precision
+TINY = 1e-30  # smaller numbers may become 0 in single precision
 LARGE = 1 << 31
 STRIDED = "@STRIDED@"  # in place of C: numbers that do not lie one after the other
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^"}

@@ -70,7 +70,7 @@ def rig_files(rig: Rig, most: int, *, single: bool = False) -> tuple[Exported, d
     for member in rig.members:
         with _left_out(left, member):
             check_class(member)
-    _check_read(rig, left)  # before the run, which may take its time
+    _check_read(rig, left)  # before the run, which may take long
     ticks = _run(rig, most)
     exported: dict[str, Exported] = {}
     for member in rig.members:
@@ -116,7 +116,7 @@ def _run(rig: Rig, most: int) -> Ticks:
         watched(step, calls[name])
     rows: list[tuple[int, dict[str, Mapping[str, Any]]]] = []
     for t in Loop(list(steps.values())).run():
-        if t is None or t == rig.end or len(rows) >= most:  # at the end not all of them answer
+        if t is None or t == rig.end or len(rows) >= most:  # at the end not all nodes answer
             break
         rows.append((t, {m.name: _published(steps[m.name]) for m in rig.members if m.schedule.due(t)}))
     return Ticks(rows, calls)
@@ -354,7 +354,7 @@ class _RigFiles:
         return json.dumps(results, indent=1) + "\n"
 
 
-_OWN = ("_replay.c", "_main.c")  # of a node that is exported alone; a rig has its own
+_OWN = ("_replay.c", "_main.c")  # files of a node that is exported alone; a rig has its own
 
 _MAIN = """/* Example: runs the rig and prints how far it came. Written by `softrig export c`. */
 #include "{n}.h"

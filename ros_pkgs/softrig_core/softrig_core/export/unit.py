@@ -89,7 +89,7 @@ class Unit:
     functions: list[str] = field(default_factory=list)
     done: dict[Any, Signature] = field(default_factory=dict)
     under_way: set[Any] = field(default_factory=set)
-    count: int = 0  # of functions that were begun
+    count: int = 0  # number of functions that have begun
     libm: set[str] = field(default_factory=set)
     fixed: dict[str, Any] = field(default_factory=dict)  # constant tuples and numbers with a name, by how C writes them
     parts: dict[tuple[str, Any], np.ndarray] = field(default_factory=dict)  # of constant tuples and arrays
@@ -212,7 +212,7 @@ class Unit:
         self.under_way.add(key)
         try:
             reader = self.reader(self, function, kinds, tables, python)
-            self.count += 1  # a function may call another one of the same title
+            self.count += 1  # a function may call another one with the same title
             text, signature = reader.whole(f"{self.prefix}_{ascii_name(reader.title)}_{self.count}")
         finally:
             self.under_way.discard(key)

@@ -27,9 +27,10 @@ CORE = Path("/usr/share/arduino/hardware/arduino/avr")
 CORE_FILES = ("wiring.c", "hooks.c", "HardwareSerial.cpp", "HardwareSerial0.cpp", "Print.cpp", "main.cpp", "abi.cpp")
 AVR = ("-mmcu=atmega328p", "-Os", "-ffp-contract=off", "-ffunction-sections", "-fdata-sections")
 ARDUINO = ("-DF_CPU=16000000UL", "-DARDUINO=10819", "-DARDUINO_AVR_UNO", "-DARDUINO_ARCH_AVR")
-FLASH, RAM = 32256, 2048  # bytes of an Uno, without its boot loader
-INSTRUCTION_NS, PER_TICK_NS = 1024, 40  # of qemu's time with -icount shift=10; MPS2 boards have 25 MHz
-TIMEOUT = 2.0  # s, 16 times: a simulator on a busy machine
+FLASH, RAM = 32256, 2048  # bytes of an Uno without its boot loader
+# Simulated time (ns) for an instruction with -icount shift=10, and for a clock cycle of an MPS2 board (25 MHz).
+INSTRUCTION_NS, PER_TICK_NS = 1024, 40
+TIMEOUT = 2.0  # s; tried 16 times, because a simulator may be slow on a busy machine
 RUN, DRAWN = 300, 200  # rows of the run, and of drawn inputs
 
 

@@ -207,7 +207,8 @@ class Audience:
         """Return a member's messages that a watcher reads, by input; None if the watcher must run at each tick."""
         result: dict[str, Messages] = {}
         every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
-        readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
+        # The watcher reads one in `step` messages.
+        readings, step = _readings(source, watcher), max(1, every // often)
         # Only where one period divides the other are the messages that the watcher sees evenly spaced.
         if readings and max(every, often) % min(every, often):
             return None

@@ -59,7 +59,7 @@ class Ways:
         self._temporaries = 0
         self._inside = 0  # loops of native code
         self.sampled: Any = UNKNOWN  # what the test read last was, by the samples
-        self.left = False  # whether the samples' branch of the last `if` leaves the function or the loop
+        self.left = False  # whether the branch of the last `if` that the samples take leaves the function or the loop
 
     def unknown(self, construct: str, node: ast.AST | None = None) -> NotNative:
         """Describe what native code does not support, and where."""

@@ -149,7 +149,7 @@ class FsfbController(Block[FsfbControllerParams]):
         """Wait for the first measurement."""
         history = self._replay.nothing()
         if self.p.delay_from == "fixed":
-            for _ in range(self._fixed):  # before the first command the drive holds 0 V
+            for _ in range(self._fixed):  # until the first command arrives the drive holds 0 V
                 history = self._replay.record(history, 0.0)
             if self._rounded:
                 self.report(

@@ -107,7 +107,7 @@ class DtcController(Block[DtcControllerParams]):
         size = sqrt(psi.real * psi.real + psi.imag * psi.imag)
         if t < self._magnetised:
             increase = flux_level(increase, min(1.0, to_s(t) / p.flux_ramp) * p.flux_ref - size, p.flux_band)
-            vector = increase  # V1 or V0
+            vector = increase  # V1 for an increase, V0 otherwise
         else:
             increase = flux_level(increase, p.flux_ref - size, p.flux_band)
             more = torque_level(more, torque_ref[0] - torque, p.torque_band)

@@ -145,6 +145,6 @@ class ImPlant(Plant[ImPlantParams]):
 def _snap(switch: float) -> float:
     """Round a switch value that is 0 or 1 within the tolerance."""
     if not abs(switch) < 2.0:
-        return switch  # it is no switch, and may be too large for a whole number of native code
+        return switch  # no switch position, and maybe too large for an integer of native code
     rounded = round(switch)
     return float(rounded) if abs(switch - rounded) <= SWITCH_TOLERANCE else switch

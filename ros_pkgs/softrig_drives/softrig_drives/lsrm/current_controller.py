@@ -124,7 +124,7 @@ def phase_law(
 ) -> tuple[float, float]:
     """Return the integral (A s) and the voltage (V) of a phase at `xi` (m) from its aligned position."""
     K_pc, K_ic, U_dc, _, threshold, zero_current, _, period, feed_forward, R = law
-    towards = xi <= 0.0 if force > 0.0 else xi > 0.0  # of the others the slope has the other sign, whatever it is
+    towards = xi <= 0.0 if force > 0.0 else xi > 0.0  # for the other phases the slope has the opposite sign
     G, g = geometry[2], profile(xi, geometry)[1] if towards else 0.0
     if not ((force > 0.0 and g > threshold * G) or (force < 0.0 and -g > threshold * G)):
         return 0.0, -U_dc if i > zero_current else 0.0

@@ -173,7 +173,7 @@ def advance(
     u_a, u_b, u_c, u_d = u
     turn_a, turn_b = turn(x, 0, geometry), turn(x, 1, geometry)
     turn_c, turn_d = turn(x, 2, geometry), turn(x, 3, geometry)
-    on_a, on_b = a > 0.0 or u_a > 0.0, b > 0.0 or u_b > 0.0  # the others stay without current
+    on_a, on_b = a > 0.0 or u_a > 0.0, b > 0.0 or u_b > 0.0  # other phases carry no current
     on_c, on_d = c > 0.0 or u_c > 0.0, d > 0.0 or u_d > 0.0
     for _ in range(steps):
         drag = 0.0

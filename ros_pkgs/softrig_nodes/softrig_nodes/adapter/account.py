@@ -37,7 +37,7 @@ class Account:
         self._logged: set[str] = set()
         self._paused = False
         self._file = StatusFile(node.options.status)
-        self._figures: dict[str, Any] = {}  # of a node that is done: worked out once
+        self._figures: dict[str, Any] = {}  # figures of a node that has ended, computed once
 
     def refuse(self, item: Input, reason: str) -> None:
         """Count a bad message and log it once; it never reaches the block."""

@@ -119,12 +119,12 @@ class Adapter:
         self.epoch = 0  # ns added to a block's time for the stamp on the wire
         self.error: BaseException | None = None
         self.waits_for: list[str] = []  # the nodes whose absence or silence ended the run
-        self.absent: list[str] = []  # what its start waits for
+        self.absent: list[str] = []  # nodes for which the start waits
         self.lacking: list[str] = []  # topics of external nodes that no node publishes yet
         self.files = self._files()  # of a node that was started again
         self.on_finished: Callable[[], None] = lambda: None
         self.account = Account(self)
-        self.inputs: list[Input] = []  # what is read of other nodes, by the table of the drive
+        self.inputs: list[Input] = []  # inputs from other nodes, in the order of the drive's table
         self.paces: list[Input] = []  # /clock and the ticks of other nodes
         ends = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
         # In real time nodes follow the wall clock, so no node publishes /clock.

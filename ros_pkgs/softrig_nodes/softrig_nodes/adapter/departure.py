@@ -58,11 +58,11 @@ class Departure(Reader):
         self._words: Sequence[str] = ()
         self.handshake = handshake
         self.absent: list[str] = []  # descriptions of missing peers
-        self.neighbours: list[Departure] = []  # those of the other nodes of this process
+        self.neighbours: list[Departure] = []  # departures of the other nodes of this process
         self.is_starter = node.links.starter == node.middleware.name
         self._silent = set(node.links.starts) - {node.middleware.name}
         self._others = len(self._silent - local)  # nodes of other processes
-        self._unheard = self._others  # those that are not matched with the starter yet
+        self._unheard = self._others  # nodes that are not matched with the starter yet
         self._epoch = 0
         self._checks = 0
         self._header, self._read = TickWriter(), TickReader()

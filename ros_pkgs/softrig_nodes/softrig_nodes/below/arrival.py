@@ -28,7 +28,7 @@ NAMES = (
     "rcutils_get_default_allocator",
     "rcutils_uint8_array_init",
 )
-TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: nothing there
+TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: no message was available
 SIZE = 4096  # bytes of a message to begin with; a longer one makes it grow
 
 

@@ -37,7 +37,7 @@ CALLS = ("clock_gettime", "clock_nanosleep", "memcpy", "sem_trywait", "sem_post"
 # Distance from the address of a bytes object to its content. The basic size includes the 0 after the content.
 OFFSET = bytes.__basicsize__ - 1
 SEMAPHORE = 8  # words; the C libraries of Linux need four
-SLOT = struct.Struct("qqq")  # publisher, address, length
+SLOT = struct.Struct("qqq")  # address of the publisher, address and length of the message
 
 _PUBLISH = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(Bytes), ctypes.c_void_p)
 

@@ -20,7 +20,7 @@ from ..ros.ros import QOS, ServingNode
 from .following import PACKAGE, Following, action_type, followed
 from .frames import Frames
 
-HOLDS = ("pause", "resume", "step")  # std_srvs/Trigger, below the name of the node of the clock
+HOLDS = ("pause", "resume", "step")  # services of std_srvs/Trigger below the name of the clock's node
 
 
 class Faces:

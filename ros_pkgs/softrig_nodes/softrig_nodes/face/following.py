@@ -73,7 +73,8 @@ class _Active:
     on_way: Tolerances
     at_end: Tolerances
     until: int | None  # ns of the run: when its joints must have arrived
-    over: Future[tuple[str, str]] = field(default_factory=Future)  # name of the error code, text; "": canceled
+    # Name of the error code and its text; an empty name: canceled.
+    over: Future[tuple[str, str]] = field(default_factory=Future)
     feedback_at: int = 0  # ns of the wall: the newest feedback
 
 

@@ -68,8 +68,8 @@ class _Steps:
 
     first: int
     last: int
-    on_step: Callable[[int], object]  # gets how many have been taken, when there are more
-    over: Callable[[str], object]  # gets what went wrong
+    on_step: Callable[[int], object]  # called with the number of completed steps when it has grown
+    over: Callable[[str], object]  # called with the reason of a failure
 
 
 class Simulation:

@@ -88,7 +88,7 @@ class _Recorded:
         self.times: list[int] = [] if topic is None else topic.times
         self.data: list[bytes] = [] if topic is None else topic.data
         self._outside = outside
-        self.next = 0  # the first that is not used
+        self.next = 0  # first message that is not used
 
     def set_value(self, t: int) -> None:
         """Set the input to the newest message that had arrived up to tick t."""

@@ -57,7 +57,7 @@ class Lockstep(Link):
         self._stalls = Stalls(self.senders)
         self._checks = 0  # of the start
         self._over = False  # the last tick is answered
-        self._awaited = 0  # tick whose wants are set
+        self._awaited = 0  # tick whose required messages are set
         self._last = math.inf if node.schedule.last is None else node.schedule.last
         record = node.record
         # A shard stores many rows of numbers in one call. Any other sink gets message after message, and an answer with
@@ -171,7 +171,7 @@ class Lockstep(Link):
             return
         if item.publishers > 1 and node.state != "done" and (item.local or item in self.senders.rows):
             self._stalls.rivals = item
-            node.state = "failed"  # from here on no message counts; `progress` ends the run when the names are known
+            node.state = "failed"  # no message counts from here on; `progress` ends the run when the names are known
 
     def _start(self) -> None:
         """Begin when every declared peer is matched, both ways."""

@@ -361,8 +361,8 @@ class Counted(Paired):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self.received = 0
-        self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: refused
-        self._announced: deque[int] = deque()  # the ticks at which they were sent
+        self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: a refused message
+        self._announced: deque[int] = deque()  # ticks at which the messages were sent
         self._acknowledged = -1  # the newest tick that the publisher has acknowledged
         self._behind = self.port.delayed and self.node.links.returns  # whether a number follows each message
 

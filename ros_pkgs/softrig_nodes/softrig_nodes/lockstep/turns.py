@@ -30,7 +30,7 @@ class Turns:
 
     def __init__(self, nodes: Sequence[Adapter]) -> None:
         self._nodes = nodes
-        self._lacking = len(nodes)  # nodes whose peers are not all there
+        self._lacking = len(nodes)  # nodes of which a peer is missing
         self.report_native: Callable[[], object] | None = None
 
     def order(self, members: Sequence[Step], alone: Callable[[], bool]) -> None:

@@ -186,7 +186,7 @@ class ForkServer:
                         return answer
             except OSError:
                 pass
-            return {}  # it has died
+            return {}  # the process has ended
 
 
 _server: ForkServer | None = None

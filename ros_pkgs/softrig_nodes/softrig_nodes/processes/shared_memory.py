@@ -23,7 +23,7 @@ ABANDONED = 60.0
 LOOKS = 100
 SIZE = 1_250_000  # bytes that the segments and ports of a node take
 RECENT = 1e9  # s: a number that differs less from the present time is taken for a time
-MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
+MADE = b"\2\0\0\0"  # first bytes of a segment whose creator has finished it (Boost.Interprocess)
 FAST = ("fastrtps_", "fastdds_")  # names of Fast DDS 2 (Jazzy) and Fast DDS 3 (Kilted) begin so
 PORT = re.compile(r"(?:fastrtps|fastdds)_port(\d+)")
 

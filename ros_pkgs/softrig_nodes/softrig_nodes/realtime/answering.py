@@ -27,8 +27,8 @@ class Answering:
         self.dropped = 0
         self._pending: deque[int] = deque()  # stamps of ticks that have begun, oldest first
         self._following = -1  # stamp of the tick after the newest one that has begun
-        self._refusals: list[Live] = []  # whose tick has not been answered
-        self._complete = 0  # so many of the awaited inputs are there for the oldest pending tick
+        self._refusals: list[Live] = []  # inputs that refused a message of a tick that is not answered yet
+        self._complete = 0  # number of awaited inputs that have arrived for the oldest pending tick
         self._last_stamp: int | None = None
         self._unarmed = False  # whether the oldest pending tick has no limit yet
         self._period = node.schedule.time(1)

@@ -72,7 +72,7 @@ class Native:
         self._function: Callable[..., Any] | None = None
         self.active, self.reached = False, 0
         self._rests = 0  # ns, monotonic: until then Python runs the ticks
-        self._python = 0  # ticks before this one are Python's
+        self._python = 0  # Python runs the ticks before this one
         self._fits: tuple[Any, Fitted] | None = None  # a text with its arguments, and what they depend on
         self._checks = 0
 
@@ -131,7 +131,7 @@ class Native:
         if kept is None:
             return
         fit = Fitted(kept, core, recorded, self._plan, True)
-        self._ticking = importlib.import_module("softrig_nodes.below._ticking")  # which needs numba
+        self._ticking = importlib.import_module("softrig_nodes.below._ticking")  # late import: it needs numba
         function = self._ticking.made(kept.function)
         fit.begin(0, 1)
         live = np.zeros(6, np.int64)

@@ -63,7 +63,7 @@ class Realtime(Link):
         self.clock = node.middleware.now
         self._stand = Stand(node, self._go_by)
         self.senders = LiveSenders(node, self.now)
-        self._sent: deque[tuple[int, int]] = deque(maxlen=2 * node.block.STALE_PERIODS)  # stamp, when it went out
+        self._sent: deque[tuple[int, int]] = deque(maxlen=2 * node.block.STALE_PERIODS)  # stamps and times of sending
         # Only the newest are kept, because they are sorted for each status file, between two ticks.
         self._round_trip: deque[int] = deque(maxlen=5_000)
         self._lateness: deque[int] = deque(maxlen=5_000)
@@ -85,12 +85,12 @@ class Realtime(Link):
         self._answering: Answering | None = None
         self._paired: list[Live] = []  # what it takes by stamp; a law does when it answers
         self._fed: list[Live] = []  # inputs that neighbours fill
-        self._rivals: list[Live] = []  # those of them that other processes write, too
+        self._rivals: list[Live] = []  # inputs among them that other processes write, too
         self._begun: Callable[[], object] | None = None
         self._newest: Callable[[], object] | None = None  # runs its newest tick, unless messages make it answer
         self.departure: Departure | None = None
         self._over = False  # the last tick is answered
-        self._moved = 0  # a plant's state is that of this tick if native code has moved it on already
+        self._moved = 0  # tick of a plant's state, if native code has already advanced it
         self.before_reading: Callable[[], object] = lambda: None  # brings the state of the step up to date
 
     def connect(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:

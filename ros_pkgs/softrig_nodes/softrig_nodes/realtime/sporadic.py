@@ -22,7 +22,7 @@ class Sporadic(Live):
     def __init__(self, table: LiveSenders, port: Port) -> None:
         super().__init__(table, port)
         self._acknowledged = -1  # stamp of the newest tick that the publisher has acknowledged
-        self._sent: deque[int] = deque(maxlen=KEPT)  # stamps of what has been sent and has not come
+        self._sent: deque[int] = deque(maxlen=KEPT)  # stamps of sent messages that have not arrived
 
     def acknowledge(self, stamp: int, published: bool) -> None:
         """Process the report whether the sender published on this topic at the tick of a stamp."""

@@ -12,8 +12,9 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.utilities import remove_ros_args
 
 FLAGS = "-p NAME:=VALUE, -r FROM:=TO, --params-file FILE, --log-level LEVEL, --enclave PATH"
-_PLACE = re.compile(r", at /\S+:\d+")  # of rcl's source, one for each caller
-_LEXER = re.compile(r"\.? Error: (error not set|Expected lexeme|Expecting token).*")  # states no form
+_PLACE = re.compile(r", at /\S+:\d+")  # place in rcl's source, one for each caller
+# Parts of a message that do not state the expected form.
+_LEXER = re.compile(r"\.? Error: (error not set|Expected lexeme|Expecting token).*")
 _PREFIX = re.compile(r"^(Failed to parse ROS arguments|failed to initialize rcl|error creating node): ")
 # The first match counts. The texts of rcl and rmw do not state the expected form, or name another rule.
 _FORMS = {

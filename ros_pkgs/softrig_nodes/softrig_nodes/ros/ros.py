@@ -103,7 +103,8 @@ KINDS = {
     Parameter.Type.STRING_ARRAY: "a list of texts",
 }
 
-Answer = Callable[..., Any]  # gets a request, an empty response and perhaps for how many seconds there is no time
+# Called with a request, an empty response, and optionally the seconds without time for it.
+Answer = Callable[..., Any]
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
 
 

@@ -43,7 +43,7 @@ class Monitor:
         self._wake, self._clock = wake, clock
         self._lock = threading.Lock()
         self._arrived: deque[Callable[[], object]] = deque()
-        self._asked = False  # the executor's thread wants it or has it
+        self._asked = False  # whether the executor's thread waits for the lock or holds it
         self._short = 0  # pieces of work in a row
         self._error: BaseException | None = None
         self.done = 0

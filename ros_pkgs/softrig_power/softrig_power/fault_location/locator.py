@@ -40,9 +40,9 @@ class State(NamedTuple):
 
     rows: Rows  # streams: t (s) and the twelve channels (V, A) of the newest samples
     record: tuple[float, ...]  # or the whole record that has come last
-    pressed: bool = False  # whether `locate` was
-    answers: int = 0  # given so far: each has random numbers of its own
-    result: Location | None = None  # the last one
+    pressed: bool = False  # whether `locate` was pressed
+    answers: int = 0  # number of answers so far, each with random numbers of its own
+    result: Location | None = None  # the newest result
 
 
 class FaultLocator(Block[FaultLocatorParams]):

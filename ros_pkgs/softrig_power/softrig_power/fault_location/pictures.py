@@ -62,7 +62,7 @@ def objective(record: Record, p: LocatorParams, location: Location, path: Path, 
             axis.axvline(truth, color="k", lw=0.8, ls="--", label=f"truth {truth:g} km")
         axis.set_yscale("log")
         axis.set_xlabel("x, km")
-        if location.x_km is not None:  # a mode that is not excited lies far below
+        if location.x_km is not None:  # a mode without excitation is far below the others
             axis.set_ylim(bottom=0.3 * location.f_min)
     axes[0, 0].set_ylabel("F(x), V")
     axes[0, 0].legend(fontsize=7)

@@ -26,7 +26,7 @@ class State(NamedTuple):
     number: int  # of the record, from 0 on
     seed: int  # of its noise
     rows: Rows  # what was measured at the samples before this one, without its noise
-    pressed: bool  # whether `run` was
+    pressed: bool  # whether `run` was pressed
 
 
 class LinePlantParams(RigParams, BlockParams):

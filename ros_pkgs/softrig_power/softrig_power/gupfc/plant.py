@@ -22,7 +22,7 @@ CONVERTERS = ("shunt", "series_1", "series_2")
 VECTORS = ("u1", "u2", "u4", "i_sh", "i12", "i34")
 # In pu. A larger series command is impossible and is rejected.
 MAGNITUDE_LIMIT = 1.2
-FREQUENCY_LIMIT = (0.5, 1.5)  # of nominal, of a command that can be meant
+FREQUENCY_LIMIT = (0.5, 1.5)  # multiples of the nominal frequency that a command may have
 TRIP = (0.5, 1.3)  # pu, of the DC voltage
 
 

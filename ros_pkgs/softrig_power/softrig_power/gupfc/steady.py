@@ -110,7 +110,8 @@ def start(
         Length of the past that is also returned, steps.
     """
     h, omega = circuit.step, circuit.omega
-    steps = round(2.0 * np.pi / (omega * h))  # of a cycle; only the fundamental matters when it is not whole
+    # Steps of a cycle; if it is not a whole number, only the fundamental matters.
+    steps = round(2.0 * np.pi / (omega * h))
     turn = omega * h
     scale = np.array([circuit.shunt_scale, circuit.series_scale, circuit.series_scale])
     v_dc = np.full(steps, abs(flow.v_sh))

@@ -114,7 +114,8 @@ def tracking_time(
     """
     run = _Run(signals, module, first, start, end)
     low = np.flatnonzero(run.power < level * run.gmpp)
-    since, until = np.append(0, low + 1), np.append(low, run.t.size - 1)  # of each stretch between two drops
+    # First and last sample of each stretch between two drops.
+    since, until = np.append(0, low + 1), np.append(low, run.t.size - 1)
     stays = run.t[until] - run.t[np.minimum(since, until)] >= stay
     stays[-1] |= since[-1] < run.t.size
     return float(run.t[since[stays][0]] - begin(run.t, start)) if stays.any() else math.inf

@@ -118,7 +118,7 @@ class PvPlant(Plant[PvPlantParams]):
         circuit = Circuit(x.v, x.i_L, x.v_o)
         if p.model == "averaged":
             circuit = move(circuit, source, d, p.step, self._steps)
-        else:  # one circuit after the other, in every switching period
+        else:  # the two circuits of a switching period in turn
             on, off = d * self._switching / PHASE_STEPS, (1.0 - d) * self._switching / PHASE_STEPS
             for _ in range(self._steps):
                 circuit = move(move(circuit, source, 1.0, on, PHASE_STEPS), source, 0.0, off, PHASE_STEPS)

@@ -143,7 +143,8 @@ def walk(step: Callable[..., None]) -> Callable[..., float]:
                 border = (sums[PLAIN, WINDOWS] + 1.0) * window
                 stop = min(end, border)
                 half = 0.5 * (stop - t)
-                add_signals(sums, t, waiting + half, x, p)  # the end of one piece and the begin of the next at once
+                # One call adds the end of a piece and the begin of the next.
+                add_signals(sums, t, waiting + half, x, p)
                 step(t, stop, x, p)
                 waiting = half
                 if stop >= border:

@@ -160,8 +160,8 @@ def crossing(
     slope = slopes(x[0], x[1], x[2], x[3], g, p)
     bend = (legs[0] * slope[0] + legs[1] * slope[1] + legs[2] * slope[2] - slope[3] / period.load) / circuit.C
     v, rate = x[3], slope[3]
-    sign = 1.0 if half % 2.0 == 0.0 else -1.0  # of m - carrier before the edge
-    waiting = 1.0 if sign > 0.0 else 0.0  # state of a leg that has its edge before it
+    sign = 1.0 if half % 2.0 == 0.0 else -1.0  # sign of m - carrier in front of the edge
+    waiting = 1.0 if sign > 0.0 else 0.0  # state of a leg whose edge is still ahead
     steep = 4.0 * frequency
     tau, leg = stop, -1
     # An earlier edge may show up at most once a leg.

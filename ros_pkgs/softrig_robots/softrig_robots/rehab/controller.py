@@ -32,7 +32,7 @@ NOTHING = (0.0,) * len(JOINTS)  # V
 class Law(Protocol):
     """Voltage of one motor; its x is a row of numbers that stays when the gains change."""
 
-    UNITS: ClassVar[dict[str, str]]  # of the first fields of x, which are shown
+    UNITS: ClassVar[dict[str, str]]  # units of those first fields of x that are shown
 
     def first(self) -> Any:
         """Return the state without a past."""

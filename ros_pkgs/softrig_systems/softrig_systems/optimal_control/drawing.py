@@ -67,7 +67,7 @@ class Spacecraft(Drawing):
         """Box, axes, momentum with its path, values."""
         camera = self.camera
         corners = [camera((x * self.half[0], y * self.half[1], z * self.half[2])) for x, y, z in CORNERS]
-        for face in ((1, 3, 7, 5), (4, 5, 7, 6), (0, 1, 5, 4)):  # top, and the two that are seen
+        for face in ((1, 3, 7, 5), (4, 5, 7, 6), (0, 1, 5, 4)):  # the face on top, and the two visible sides
             pen.polygon([corners[k] for k in face], "muted", "faint", 1.2)
         for a, b in EDGES:
             pen.line([corners[a], corners[b]], "muted", 1.0)

@@ -155,7 +155,8 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         if before.states is not None:
             return figures, newest
         figures = figures._replace(J_series=about["J_series"])
-        full_horizon = abs(newest.horizon - self._problem.horizon) < 1e-9  # not of what is left after a late start
+        # Not for the remaining time after a late start.
+        full_horizon = abs(newest.horizon - self._problem.horizon) < 1e-9
         below = full_horizon and figures.J_series < figures.J_exact - MARGIN * abs(figures.J_exact)
         if below or figures.residual >= self.p.eps_res:
             figures = figures._replace(infeasible=1.0)

@@ -174,7 +174,7 @@ class CertificateNode(AskedSolver[CertificateParams]):
         verdict = (actual.h, float(actual.valid), actual.t, smallest, float(len(actual.eigenvalues)))
         if not self.p.shapes():
             return x, {"verdict": verdict}
-        if not actual.valid:  # never the last iterate
+        if not actual.valid:  # the last iterate is not used
             return x, {"verdict": verdict, "matrices": (0.0,) * int(np.prod(self.p.padded()))}
         return x, {"verdict": verdict, "matrices": self.p.pad(actual.matrices)}
 

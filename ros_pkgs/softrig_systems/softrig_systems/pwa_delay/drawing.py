@@ -34,7 +34,8 @@ class Tank(Drawing):
             earlier = rows[max(0, len(rows) - 1 - round(k / (self.CELLS - 1) * (len(rows) - 1)))]
             share = limited(self.inflow(earlier) / self.flow, 1.0)
             pen.box(31.0 + wide * k, 75.0, wide - 1.0, -24.0 * max(share, 0.0), "accent", "accent", 0)
-            pen.box(31.0 + wide * k, 51.0, wide - 1.0, 24.0 * max(-share, 0.0), "alarm", "alarm", 0)  # taken away
+            # Red: removed flow.
+            pen.box(31.0 + wide * k, 51.0, wide - 1.0, 24.0 * max(-share, 0.0), "alarm", "alarm", 0)
         outflow = max(limited(self.inflow(rows[0]) / self.flow, 1.0), 0.0)
         pen.text((30.0, 40.0), f"pipe, {self.delay.text_of(row, '.2f')} long", "muted")
         filled = min(max(self.level(row) / self.full, 0.0), 1.05)

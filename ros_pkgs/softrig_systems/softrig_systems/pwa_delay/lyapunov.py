@@ -128,7 +128,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         verdict: tuple[float, ...] | None,
     ) -> Answer:
         """Return V once the record is long enough."""
-        if mode[1] < 0.0:  # it counts samples back, and no sample is later than now
+        if mode[1] < 0.0:  # the delay counts samples back, and no sample is in the future
             self.report(
                 Level.ERROR,
                 "delay",

@@ -65,7 +65,7 @@ class Delay:
     """The delay over time, drawn with the seed: it is stored with a block's state but is not one of its numbers."""
 
     profile: Profile
-    constants: Any = None  # what a native loop reads, the profile with it
+    constants: Any = None  # values that a native loop reads, including the profile
     longest: float = 0.0  # s, that is remembered: a live change goes no further
 
     def __eq__(self, other: object) -> bool:

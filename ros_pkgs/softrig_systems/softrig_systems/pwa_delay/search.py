@@ -114,7 +114,7 @@ def find_margin(
     low, high = list(results)[-2:]
     h = before = low
     side = 0
-    while high - low > max(width, 2.0 * math.ulp(high)):  # numbers between them, too
+    while high - low > max(width, 2.0 * math.ulp(high)):  # as long as other floats lie in between
         h = (low * at_high - high * at_low) / (at_high - at_low)
         rate = growth(h)
         results[h] = rate

@@ -11,7 +11,7 @@ from .laws import LAWS, Gains, LawName, Measured, integral_gain
 from .model import Bottleneck, phi, psi
 from .ports import COMMAND, HEALTH, REFERENCE, STATE
 
-STALE = 5  # periods beyond which a state is too old
+STALE = 5  # periods after which a state is too old
 HOLD = 50  # ticks without a valid state after which nothing is dropped any more
 
 
@@ -153,7 +153,7 @@ class AqmController(Block[AqmControllerParams]):
         integral, q_d, e, past, silent, last = x
         silent += 1
         if past is not None:
-            past = past.again()  # the record has one entry a tick
+            past = past.again()  # the record has one entry for each tick
         if silent >= HOLD:
             self.report(Level.ERROR, "no_state", f"no valid state for {HOLD} ticks: nothing is dropped")
             last = LastAnswer(health=last.health)

@@ -14,7 +14,7 @@ from ...lines.bergeron import Lines, branch, branch_impedance, discrete_two_port
 from ...lines.modal import CLARKE
 from .parameters import FaultParams, RigParams, grounded, phases
 
-LEAST_RESISTANCE = 1e-3  # ohm, of a faulted phase and of the star point to ground
+LEAST_RESISTANCE = 1e-3  # ohm: least resistance of a faulted phase, and of the star point to ground
 S, R = 0, 1  # terminals
 
 

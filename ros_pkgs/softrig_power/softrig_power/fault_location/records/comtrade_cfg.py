@@ -324,7 +324,7 @@ def sections(data: bytes) -> Iterator[tuple[str, str, bytes]]:
     while match is not None:
         name, form = match[1].decode().upper(), (match[2] or b"").decode().upper()
         begin = match.end()
-        if name == "DAT" and form != "ASCII":  # a byte of the data may look like anything: no search within them
+        if name == "DAT" and form != "ASCII":  # bytes of the data may look like anything, so these are not searched
             size = int(match[3] or len(data) - begin)
             if begin + size > len(data):
                 raise SettingsError(f"the head of the data states {size} bytes, but there are {len(data) - begin}")

@@ -191,7 +191,8 @@ class PowerFlow:
         q = v * ((sin * G - cos * B) * v[None, :]).sum(1) - v * (
             a.sin() * self._source.real - a.cos() * self._source.imag
         )
-        v1, a1, v2, a2 = v[[1, 3]], a[[1, 3]], v[[2, 4]], a[[2, 4]]  # before and behind the two series converters
+        # In front of and behind the two series converters.
+        v1, a1, v2, a2 = v[[1, 3]], a[[1, 3]], v[[2, 4]], a[[2, 4]]
         p1, q1 = series_power(v1, a1, e, f, z, -1)
         p2, q2 = series_power(v2, a2, e, f, z, 1)
         flow_p, flow_q = _flow(v1, a1, v2, a2, z)

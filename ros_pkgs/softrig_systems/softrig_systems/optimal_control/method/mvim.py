@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
 
 NEWTON = 40  # steps at most
-HALVINGS = 12  # of a step that makes the end error larger
+HALVINGS = 12  # halvings of a step that increases the end error
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the horizon
-AROUND = (-2.0, -1.0, 1.0, 2.0)  # where other roots are looked for, in sizes of alpha
+AROUND = (-2.0, -1.0, 1.0, 2.0)  # places at which other roots are searched, in sizes of alpha
 LOW = 3  # orders up to which all roots are looked for, ...
 NEAR = 0.1  # ... when alpha changes by more than this from one to the next, of its size
 JUMP = 0.5  # change of alpha from one order to the next, of its size, that is taken for the same branch

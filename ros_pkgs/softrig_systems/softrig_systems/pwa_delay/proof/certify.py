@@ -169,7 +169,8 @@ def _walk(ask: Callable[..., Certificate], best: Certificate, step: float, width
     `width`.
     """
     shortest, failed = best.shortest, False
-    while step > max(0.1 * width * best.h, 2.0 * math.ulp(best.h)) and best.h < most:  # numbers between them, too
+    # As long as other floats lie in between.
+    while step > max(0.1 * width * best.h, 2.0 * math.ulp(best.h)) and best.h < most:
         result = ask(best.h + step, best.h)
         if result.valid:
             best = result
