@@ -627,10 +627,10 @@ class Calls(Expressions):
         if called is float and isinstance(samples[0], bool):
             return Dynamic(f"(1.0 if {self.code(args[0])} else 0.0)", float(samples[0]))
         if called in (abs, float) and isinstance(samples[0], (float, int)):
-            whole = args[0].code if isinstance(args[0], Dynamic) and called is float else ""
-            if whole.startswith("floor(") and self.program.typed and not self.program.inferred:
+            text = args[0].code if isinstance(args[0], Dynamic) and called is float else ""
+            if text.startswith("floor(") and self.program.typed and not self.program.inferred:
                 self.program.words.add("whole_")
-                return Dynamic(f"whole_{whole.removeprefix('floor')}", float(samples[0]))
+                return Dynamic(f"whole_{text.removeprefix('floor')}", float(samples[0]))
             return self._written(called.__name__, called, args)
         if called is abs and isinstance(samples[0], complex):
             self.program.words.add("abs_")
