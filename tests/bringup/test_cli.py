@@ -765,10 +765,10 @@ def on_a_full_disk(limit, *arguments):
 
 
 @pytest.mark.long
-def test_a_full_disk_names_the_folder(folder):
+def test_a_full_disk_names_the_file_of_a_run(folder):
     result = on_a_full_disk(500, "run", "lag", "--mode", "inprocess", "--out", "a")
     assert result.returncode == 3
-    assert result.stderr == f"softrig: {folder}/a: File too large\n"
+    assert result.stderr == f"softrig: {folder}/a/metrics.json: File too large\n"
 
 
 @pytest.mark.parametrize(("limit", "words", "path"), few([
