@@ -218,9 +218,11 @@ def test_a_run_of_a_users_package_is_repeated_elsewhere(user, package):
     away = package.with_name("away")
     package.rename(away)
     try:
-        # `--like` repeats the run in processes.
-        _, text = user(f"'{SOFTRIG}' run --like sent.zip --no-plots --out again")
-        assert "sent.zip brings heater: code of who has made it runs here" in text
+        # `--like` repeats the run in processes, after somebody has confirmed that the code in the pack may run.
+        again = f"'{SOFTRIG}' run --like sent.zip --no-plots --out again"
+        _, text = user(again, status=2)
+        assert "its code runs only when somebody confirms it" in text
+        _, text = user(f"{again} --trust")
         assert "repeats sent.zip number for number: 1001 messages on 2 topics" in text.splitlines()[-1]
         _, text = user(f"'{SOFTRIG}' run --like mine --no-plots", status=2)
         assert "it needs package heater, not installed here" in text
