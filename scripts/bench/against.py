@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -97,8 +98,13 @@ def rows(values: Mapping[str, tuple[list[Values], ...]]) -> Table:
         for k, (part, unit, target) in enumerate(ROWS[name].parts):
             old, new = ([round_[k] for round_ in rounds] for rounds in (before, now))
             ratio = median(n / b for b, n in zip(old, new, strict=True))
-            result.append((name + part, unit, f"{median(old):.3g}", f"{median(new):.3g}", f"{ratio:.2f}", target))
+            result.append((name + part, unit, three(median(old)), three(median(new)), f"{ratio:.2f}", target))
     return result
+
+
+def three(value: float) -> str:
+    """Return a number with three digits, or all before its point."""
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def whole(checkout: Path, scenario: str, settings: Mapping[str, str]) -> float:
@@ -167,5 +173,5 @@ def main(arguments: Sequence[str]) -> int:
     show(table)
     if options.write:
         mark = options.runs or ("slow" if all(ROWS[n].slow for n in names) else "rows")
-        write(PAGE, {mark: table}, f"scripts/softrig bench against {' '.join(arguments)}", begun)
+        write(PAGE, {mark: table}, f"scripts/softrig bench against {shlex.join(arguments)}", begun)
     return 0

@@ -247,6 +247,7 @@ def test_a_commit_is_compared_in_turn_and_a_missing_one_is_refused(capsys, monke
     expected = ("x, CPU", "s", "24", "28", "1.17", "0.5"), ("x, peak", "MB", "40", "10", "0.25", "20 MB")
     assert tuple(against.rows(result)) == expected
     assert len(against.compared(tmp_path, ["x"], 1)["x"][0]) == 1
+    assert [*map(against.three, (3379.6, 273.6, 0.2794))] == ["3,380", "274", "0.279"]
 
 
 def test_rows_are_chosen_by_name_slow_ones_only_so_and_written(capsys, monkeypatch, tmp_path):
@@ -272,7 +273,7 @@ def test_rows_are_chosen_by_name_slow_ones_only_so_and_written(capsys, monkeypat
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["writing bags", "one run of a study", "two workers"])
+@pytest.mark.parametrize("name", ["pictures of a run", "writing bags", "one run of a study", "two workers"])
 def test_code_that_both_builds_run_gives_a_number_for_each_part(name, tmp_path):
     row = next(row for known, row in against.ROWS.items() if known.startswith(name))
     values = row.measure(ROOT, tmp_path)
