@@ -29,7 +29,7 @@ class Law(Block[Params]):
     habit = staticmethod(lambda law, t: None)
 
     def setup(self):
-        self.gain = self.p.k
+        self.gain = self.p.k  # the message names this line
         self.kept, self.table = [], {"n": 0}
         self.helped()
 
@@ -52,14 +52,14 @@ def run(block_class, duration=1.0, **keys):
 
 class Rebinding(Law):
     def update(self, x, t):
-        self.count = t
+        self.count = t  # the message names this line
         return x, {"u": (0.0,)}
 
 
 class ByHelper(Law):
     def update(self, x, t):
         def inner():
-            self.gain += 1.0
+            self.gain += 1.0  # the message names this line
 
         inner()
         return x, {"u": (0.0,)}
@@ -67,7 +67,7 @@ class ByHelper(Law):
 
 class Deleting(Law):
     def update(self, x, t):
-        del self.gain
+        del self.gain  # the message names this line
         return x, {"u": (0.0,)}
 
 
@@ -82,7 +82,7 @@ class Swallowing(Law):
         try:
             self.n += 1
         except AttributeError:
-            self.n = 0
+            self.n = 0  # the message names this line
         return x, {"u": (0.0,)}
 
 
@@ -97,7 +97,7 @@ class Moving(Plant[Params]):
         return x
 
     def helped(self, other):
-        setattr(other, "n", 1)  # noqa: B010 # here
+        setattr(other, "n", 1)  # noqa: B010 # the message names this line
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_a_tick_that_writes_an_attribute_is_refused_at_its_line(block, method, n
     with pytest.raises(RunError) as message:
         run(block)
     lines, first = getsourcelines(Law if block is Again else block)
-    line = next(k for k, text in enumerate(lines, first) if text.endswith("# here\n"))
+    line = next(k for k, text in enumerate(lines, first) if text.endswith("# the message names this line\n"))
     assert str(message.value) == (
         f"law: `{method}` writes self.{name} ({__file__}, line {line}); make it a field of x and return the new x"
     )
