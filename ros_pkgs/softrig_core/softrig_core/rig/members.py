@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from ..block.block import Block, Plant
@@ -94,8 +95,8 @@ class Members:
         """The class of each node's block: with the scenario, all that a rig is built of."""
         return {m.name: m.block_class for m in self.members}
 
-    @property
-    def topics(self) -> dict[str, Port]:
+    @cached_property
+    def topics(self) -> Mapping[str, Port]:
         """Every published topic in the order in which one tick's messages follow from each other."""
         result = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
         for m in self.members:

@@ -13,6 +13,7 @@ from typing import Any
 
 from ..block.block import Block
 from ..errors import ScenarioError
+from ..kit.newest import once_for_objects
 from ..rig.members import signal_units
 from ..rig.rig import Rig, members_of
 from ..scenario.faults import insert
@@ -74,23 +75,32 @@ def _expanded(scenario: Scenario, classes: Classes, with_figures: bool) -> Rig:
         if (e.package, e.executable) == FIGURES and not {"figures", "scenario"} & e.parameters.keys()
     }
     # The figures are resolved against the wired rig, so live nodes have none until it is wired.
-    bare = _with_parameters(scenario, live, {"figures": "[]", "ports": "[]"})
+    bare = _with_nodes(scenario, {n: _without_figures(e) for n, e in live.items()})
     rig = _watched(Rig.from_scenario(_faulty(bare, classes), classes))
     if not live:
         return rig
     # Live nodes read what the figures name from its source, even where a fault changes it for all other readers.
     if with_figures:
-        full = _with_parameters(rig.scenario, live, {"period": rig.clock.params.period, **figure_parameters(rig)})
+        values = {"period": rig.clock.params.period, **figure_parameters(rig)}
+        full = _with_nodes(rig.scenario, {n: _with_parameters(e, values) for n, e in live.items()})
         rig = rig.listened(full, live)
     # The scenario keeps the live nodes as they were written, because what they receive may change with the rig.
-    nodes = {**rig.scenario.nodes, **live}
-    return replace(rig, scenario=rig.scenario.model_copy(update={"nodes": nodes}))
+    return replace(rig, scenario=_with_nodes(rig.scenario, live))
 
 
-def _with_parameters(scenario: Scenario, live: Mapping[str, NodeEntry], values: Mapping[str, Any]) -> Scenario:
-    """Return the scenario with parameters filled in for live nodes that do not set them."""
-    nodes = {n: e.model_copy(update={"parameters": {**values, **e.parameters}}) for n, e in live.items()}
-    return scenario.model_copy(update={"nodes": {**scenario.nodes, **nodes}}) if live else scenario
+def _with_nodes(scenario: Scenario, nodes: Mapping[str, NodeEntry]) -> Scenario:
+    return scenario.model_copy(update={"nodes": {**scenario.nodes, **nodes}}) if nodes else scenario
+
+
+def _with_parameters(entry: NodeEntry, values: Mapping[str, Any]) -> NodeEntry:
+    """Return the entry with parameters filled in that it does not set."""
+    return entry.model_copy(update={"parameters": {**values, **entry.parameters}})
+
+
+# Runs of a study share the result, and with it the node.
+@once_for_objects
+def _without_figures(entry: NodeEntry) -> NodeEntry:
+    return _with_parameters(entry, {"figures": "[]", "ports": "[]"})
 
 
 def _faulty(scenario: Scenario, classes: Classes) -> Scenario:
