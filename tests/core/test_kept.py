@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any, NamedTuple
 
 import pytest
@@ -47,6 +48,15 @@ def test_a_draft_with_changed_values_equals_the_scenario_checked_as_a_whole(valu
 def test_a_wrong_changed_value_is_refused_as_in_a_file(values, message):
     with pytest.raises(ScenarioError, match=message):
         rig_of(read_draft("dc_motor_smc_b2"), overrides=values)
+
+
+def test_equal_drafts_that_a_process_receives_are_one_object():
+    draft = read_draft("dc_motor_smc_b2")
+    first, again = (pickle.loads(pickle.dumps(draft)) for _ in range(2))
+    assert first is again
+    assert (first.name, first.path, first.raw) == (draft.name, draft.path, draft.raw)
+    assert first.filled({"dc_motor_smc.delta": 0.5}) == draft.filled({"dc_motor_smc.delta": 0.5})
+    assert pickle.loads(pickle.dumps(read_draft("dc_motor_smc"))).name == "dc_motor_smc"
 
 
 def test_rigs_of_one_scenario_share_what_depends_on_it_alone():

@@ -39,7 +39,7 @@ CHUNK = 0.25
 # The same for a cluster, in s, where each task costs milliseconds of its scheduler.
 FAR = 5.0
 LARGEST = 1000  # cases of a chunk
-YOUNG = 20_000  # new objects between two searches for reference cycles in a worker
+YOUNG = 5_000  # new objects between two searches for reference cycles in a worker
 
 
 class Workers:
@@ -260,7 +260,7 @@ def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R],
     result = _each(function, cases)
     if not _own:
         _own.append(_freeze())
-        # New objects of some dozens of short runs, among which a search takes as long as among those of one run.
+        # New objects of some short runs, among which a search takes as long as among those of one run.
         gc.set_threshold(YOUNG, *gc.get_threshold()[1:])
     return result
 

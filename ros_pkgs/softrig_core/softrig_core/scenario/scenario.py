@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -271,6 +272,10 @@ class Draft:
     path: Path
     raw: dict[str, Any]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle so that a process gets one object of equal drafts; what it keeps of runs is found by identity."""
+        return _draft, (self.name, self.path, pickle.dumps(self.raw))
+
     def filled(self, overrides: Mapping[str, Any] | None = None) -> Scenario:
         """Create the scenario; see `load_scenario`."""
         if not overrides:
@@ -312,6 +317,11 @@ class Draft:
             raise ScenarioError(f"{location}: {explain(error, Scenario)}") from None
         except ScenarioError as error:
             raise ScenarioError(f"{self.path.name}: {error}") from None
+
+
+@lru_cache(maxsize=8)
+def _draft(name: str, path: Path, raw: bytes) -> Draft:
+    return Draft(name, path, pickle.loads(raw))
 
 
 def _revised(known: NodeEntry | None, before: Any, entry: Any, shared: Mapping[str, Any]) -> NodeEntry:
