@@ -98,7 +98,7 @@ def test_a_port_is_written_without_defaults_and_becomes_an_output():
     assert port_of(written(PORTS["push"])).held is False
     assert isinstance(made, Port)
     for text in ("no json", "[1]", '{"name": 1, "more": 2}'):
-        with pytest.raises(ValueError, match="is no port"):
+        with pytest.raises(ValueError, match="is not a port"):
             Tape(bag="x", inputs=(text,))
 
 

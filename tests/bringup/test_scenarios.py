@@ -349,7 +349,7 @@ def test_yaml_is_read_as_version_1_2():
         ),
         ("&a [*a]", "alias"),
         ("!!python/object/apply:os.system ['true']", "not valid YAML"),
-        ("{[1]: 2}", "not valid YAML|no plain word"),
+        ("{[1]: 2}", "not valid YAML|not a plain word"),
     ],
 )
 def test_malicious_yaml_is_refused_in_one_line(text, message):

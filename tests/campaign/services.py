@@ -182,7 +182,7 @@ class Target:
                 for together in (False, True):
                     (result,) = self.set([message], together)
                     assert not result.successful, (name, result)
-                    assert "is no parameter of" in result.reason or "no type" in result.reason, result.reason
+                    assert "is not a parameter of" in result.reason or "no type" in result.reason, result.reason
                 first, second = self.set([known, message], together=False)
                 assert first.successful, f"{good} beside {name!r}: {first.reason}"
                 assert not second.successful

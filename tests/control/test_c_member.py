@@ -288,7 +288,7 @@ def test_a_tripped_law_publishes_its_outputs_keeps_its_state_and_is_counted() ->
     [
         ({"header": "nowhere.h"}, "no header 'nowhere.h'"),
         ({"sources": [], "library": "/bin/true"}, "pi_init"),
-        ({"sources": [], "library": str(HERE / "pi.c")}, "is no shared library"),
+        ({"sources": [], "library": str(HERE / "pi.c")}, "is not a shared library"),
         ({"sources": []}, "expected either library, which is built, or sources"),
         ({"prefix": "pid"}, "has no function pid_init; it offers pi_init, pi_step"),
         ({"inputs": PI["inputs"][:1]}, "pi_in.speed has no channel; add TOPIC/CHANNEL/FIELD [UNIT] = speed to inputs"),

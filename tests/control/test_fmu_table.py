@@ -126,9 +126,9 @@ def test_an_alias_is_a_name_of_its_variable(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        ("relativeQuantity", "relativQuantity", r"@relativQuantity is no part of .*@relativeQuantity'"),
-        ("UnitDefinitions", "UnitDefinition", "UnitDefinition is no part of .*'UnitDefinitions'"),
-        ("<ModelStructure/>", "<ModelStructure/><Rest/>", "Rest is no part of modelDescription.xml"),
+        ("relativeQuantity", "relativQuantity", r"@relativQuantity is not part of .*@relativeQuantity'"),
+        ("UnitDefinitions", "UnitDefinition", "UnitDefinition is not part of .*'UnitDefinitions'"),
+        ("<ModelStructure/>", "<ModelStructure/><Rest/>", "Rest is not part of modelDescription.xml"),
     ],
 )
 def test_items_outside_the_standard_are_refused(tmp_path, prepared_unit, old, new, why):

@@ -437,7 +437,7 @@ def test_a_device_that_is_not_a_serial_port_is_refused_immediately(port, tmp_pat
     (tmp_path / "file").write_text("no port")
     (tmp_path / "folder").mkdir()
     name = port if port.startswith("/") else str(tmp_path / port)
-    with pytest.raises(ScenarioError, match=r"^link: .* is no serial port; expected one such as /dev/ttyACM0$"):
+    with pytest.raises(ScenarioError, match=r"^link: .* is not a serial port; expected one such as /dev/ttyACM0$"):
         opened(name, 115200)
 
 

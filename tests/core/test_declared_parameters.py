@@ -136,7 +136,7 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
     for strange in STRANGE:
         for hostile in HOSTILE[::7]:
             response = node.offered[SetParameters](parameters=[message, Message(name=strange, value=hostile)])
-            assert "is no parameter of node" in response.results[1].reason
+            assert "is not a parameter of node" in response.results[1].reason
             assert response.results[0].reason == node.offered[SetParameters](parameters=[message]).results[0].reason
     now = {n: plain(p) for n, p in node._parameters.items() if p.type_ != Parameter.Type.NOT_SET}
     build(block.Params, {n: v for n, v in now.items() if n not in RUN})

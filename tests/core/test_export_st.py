@@ -184,7 +184,7 @@ def test_the_interpreter_follows_the_rules_of_the_language():
     assert block.x.row == [0, -3, -1]
     assert block.y.row == [0, 0, 0]
     assert (block.k, block.ok, block.q) == (1, False, -math.inf)
-    with pytest.raises(ValueError, match="no statement"):
+    with pytest.raises(ValueError, match="is not a statement"):
         Program(BLOCK.replace("q := -1.0 / 0.0;", "q := 1.0"))
 
 

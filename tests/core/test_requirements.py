@@ -94,8 +94,8 @@ def test_units_of_both_sides_must_fit_and_several_need_a_scale():
 @pytest.mark.parametrize(
     ("formula", "reason"),
     [
-        ("always sate > 0", r"'sate' is no name \(did you mean 'state'\?\)"),
-        ("alway[0, 1] state > 0", r"'alway' is no name \(did you mean 'always'\?\)"),
+        ("always sate > 0", r"'sate' is not a name \(did you mean 'state'\?\)"),
+        ("alway[0, 1] state > 0", r"'alway' is not a name \(did you mean 'always'\?\)"),
         ("always (state > 0", "unclosed|expected"),
         ("always[0.5, 0.1] state > 0", "lower bound 0.5 is greater than upper bound 0.1"),
         ("state > 0", "t = 0 only: write 'always"),
@@ -440,7 +440,7 @@ def test_a_formula_uses_numbers_of_nodes_and_figures_of_the_run():
         ("always state <= $pump.k", "the nodes are"),
         ("always[0, state] state <= 1", "state in an interval changes while the rig runs"),
         ("always[0, stat] state <= 1", "stat in an interval is unknown"),
-        ("always[0, 1 +] state <= 1", "is no number"),
+        ("always[0, 1 +] state <= 1", "is not a number"),
         ("always[0 - $gain.k, 1] state <= 1", "expected a time of at least 0 s"),
         ("always[peak, inf] state <= 1", "peak in an interval is in .*, expected s"),
         ("always peak", "peak is a figure"),

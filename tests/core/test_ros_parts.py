@@ -366,7 +366,7 @@ def test_parameters_set_together_are_applied_together_or_one_by_one():
     node.refuses = ("n",)
     assert node.ask(k=2.0, n=4) == ([True, False], ["", "refused"], [{"k": 2.0, "n": 4}, {"k": 2.0}, {"n": 4}])
     assert node.ask(n=4) == ([False], ["refused"], [{"n": 4}])
-    assert node.ask(kk=4) == ([False], ["'kk' is no parameter of law (did you mean 'k'?)"], [])
+    assert node.ask(kk=4) == ([False], ["'kk' is not a parameter of law (did you mean 'k'?)"], [])
     node.refuses = ()
     clocked = Serving(use_sim_time=False)
     assert clocked.ask(use_sim_time=False) == ([True], [""], [])

@@ -107,7 +107,7 @@ def test_an_unknown_parameter_is_named_and_the_others_are_set(domain):
     with started("gain", Gain, domain) as (_, _, client, done):
         results = done(client.set_parameters([Parameter("k", value=2.0), Parameter("noize", value=1.0)])).results
         together = done(client.set_parameters_atomically([Parameter("noize", value=1.0)])).result
-    reason = "'noize' is no parameter of gain (did you mean 'noise'?)"
+    reason = "'noize' is not a parameter of gain (did you mean 'noise'?)"
     assert [(r.successful, r.reason) for r in results] == [(True, ""), (False, reason)]
     assert (together.successful, together.reason) == (False, reason)
 

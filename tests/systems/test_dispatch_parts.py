@@ -99,7 +99,7 @@ HEAD = ",".join(("unit", *COLUMNS))
         (f"{HEAD}\n", "units.csv: no unit in it"),
         ("unit,p_min_MW\n", f"units.csv: no column {', '.join(COLUMNS[1:])}"),
         ("", f"units.csv: no column unit, {', '.join(COLUMNS)}"),
-        (f"{HEAD}\na,1,2,3,4,5,6,7\nb,1,2,3,x,5,6,7\n", "units.csv, line 3, column b_usd_per_MWh: 'x' is no number"),
+        (f"{HEAD}\na,1,2,3,4,5,6,7\nb,1,2,3,x,5,6,7\n", "units.csv, line 3, column b_usd_per_MWh: 'x' is not a number"),
         (f"{HEAD}\na,1,2\n", "units.csv, line 2: 3 fields, but the head has 8"),
         (f"{HEAD},ramp_up_MW\na,1,2,3,4,5,6,7,-1\n", "units.csv, line 2, column ramp_up_MW: -1, expected at least 0"),
         (
@@ -122,17 +122,17 @@ ROW = "a,1,2,3,4,5,6,7"
     ("text", "words"),
     [
         (f"{HEAD},ramp_up_MW\n{ROW},1\n", "line 2: ramp_up_MW needs p_now_MW, from which it counts"),
-        (f"{HEAD},ramp_up_MWh\n{ROW},1\n", "ramp_up_MWh is no part of a table of units (did you mean 'ramp_up_MW'?)"),
+        (f"{HEAD},ramp_up_MWh\n{ROW},1\n", "ramp_up_MWh is not part of a table of units (did you mean 'ramp_up_MW'?)"),
         (f"{HEAD},prohibited zones\n{ROW},1\n", "prohibited zones is refused: no method of dispatch supports them"),
-        (f"{HEAD},zone_1_MW\n{ROW},1\n", "zone_1_MW is no part of a table of units; remove it"),
+        (f"{HEAD},zone_1_MW\n{ROW},1\n", "zone_1_MW is not part of a table of units; remove it"),
         (f"{HEAD},unit\n{ROW},a\n", "column unit occurs twice"),
         (f"{HEAD},\n{ROW},8\n", "a column has no name"),
         (f"{HEAD}\na,1,2,0,003,4,5,6,7\n", "line 2: 9 fields, but the head has 8; write decimal points, or separate"),
-        (f'{HEAD}\na,1,2,"0,003",4,5,6,7\n', "'0,003' is no number; it has a decimal comma"),
+        (f'{HEAD}\na,1,2,"0,003",4,5,6,7\n', "'0,003' is not a number; it has a decimal comma"),
         (f"{HEAD}\n# b\n", "line 2: 1 fields, but the head has 8"),
         (f"{HEAD}\na,1,2,3,1_0,5,6,7\n", "column b_usd_per_MWh: 1_0, expected a finite number"),
         (HEAD.replace("p_min_MW", "p_min_kW"), "no column p_min_MW (did you mean 'p_min_kW'?)"),
-        (HEAD.replace(",", ";") + "\na;1.000,5;2;3;4;5;6;7\n", "column p_min_MW: '1.000,5' is no number"),
+        (HEAD.replace(",", ";") + "\na;1.000,5;2;3;4;5;6;7\n", "column p_min_MW: '1.000,5' is not a number"),
     ],
 )
 def test_columns_that_would_be_misread_or_ignored_are_refused(tmp_path, text, words):
@@ -349,12 +349,12 @@ def test_losses_and_their_slopes_agree_with_loops():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("unit,a,b\na,1,2\nb,2,x\n", "l.csv, line 3, column b: 'x' is no number"),
+        ("unit,a,b\na,1,2\nb,2,x\n", "l.csv, line 3, column b: 'x' is not a number"),
         ("unit,a,b\na,1,2\nb,2\n", "l.csv, line 3: 2 fields, but the head has 3"),
         ("unit,a,b\na,1,inf\nb,2,3\n", "l.csv, line 2, column b: inf, expected a finite number"),
-        ("unit,a,b,b0\na,1,2,y\nb,2,3,1\n", "l.csv, line 2, column b0: 'y' is no number"),
+        ("unit,a,b,b0\na,1,2,y\nb,2,3,1\n", "l.csv, line 2, column b0: 'y' is not a number"),
         ("unit,a,b\nb,1,2\na,2,3\n", "l.csv: losses of the units b, a, expected a, b"),
-        ("unit,a,b,B0\na,1,2,0\nb,2,3,0\n", "l.csv: B0 is no column of a table of losses (did you mean 'b0'?)"),
+        ("unit,a,b,B0\na,1,2,0\nb,2,3,0\n", "l.csv: B0 is not a column of a table of losses (did you mean 'b0'?)"),
         ("unit,a,b,b00_MW\na,1,2,\nb,2,3,9\n", "l.csv, line 3: b00_MW belongs into the first row"),
         ("name,a,b\na,1,2\nb,2,3\n", "l.csv: losses of the units , , expected a, b"),
     ],

@@ -138,7 +138,7 @@ def test_ignored_items_are_reported_once_and_change_nothing(name):
         (placed("xacro/**"), "xacro is refused: expand it first"),
         (placed("loop_joint/**"), "loop_joint is refused"),
         (FULL.replace("<dynamics damping", "<dynamics dampening"), r"dynamics@dampening is no.*/dynamics@damping'"),
-        (FULL.replace('<axis xyz="0 0 1"/>', '<axes xyz="0 0 1"/>'), "joint/axes is no part.*mean 'joint/axis'"),
+        (FULL.replace('<axis xyz="0 0 1"/>', '<axes xyz="0 0 1"/>'), "joint/axes is not part.*mean 'joint/axis'"),
         (FULL.replace('<axis xyz="0 0 1"', '<axis xyz="0 0 0"'), "joint j3: axis@xyz is 0 0 0"),
         (FULL.replace('damping="0.5"', 'damping="0,5"'), "dynamics@damping is '0,5', expected a number"),
         (FULL.replace('<mass value="2"', '<mass value="１"'), "mass@value is '１', expected a number"),

@@ -48,7 +48,7 @@ class TapeParams(BlockParams):
             try:
                 port_of(text)
             except (ValueError, TypeError, KeyError, AttributeError) as error:
-                raise ValueError(f"inputs: {text[:80]!r} is no port: {error}") from None
+                raise ValueError(f"inputs: {text[:80]!r} is not a port: {error}") from None
 
 
 @lru_cache(maxsize=2)

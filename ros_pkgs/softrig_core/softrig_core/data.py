@@ -140,7 +140,7 @@ _SIMPLE: dict[Any, str] = {str: "string", int: "integer", bool: "boolean"}
 
 
 def _of(kind: Any, noun: str, raw: Any) -> Any:
-    # True is an integer in Python, and no number of a file.
+    # True is an integer in Python, but not a number of a file.
     if isinstance(raw, kind) and (kind is bool or not isinstance(raw, bool)):
         return raw
     raise MisfitError(f"input should be a valid {noun}")

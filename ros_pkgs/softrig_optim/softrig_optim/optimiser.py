@@ -456,7 +456,7 @@ class CommandOptimiser(Block[P], ABC):
         if x.since == NEVER or t - x.since < x.next_sample:
             return x
         elapsed, value = t - x.since, _mean(x)
-        # The next look counts from this one, so that looks are a whole hold_time apart after bad samples too.
+        # The next check is a whole hold_time after this one, also after bad samples.
         x, changed = self._changed(x._replace(next_sample=elapsed + self._hold), t, value, elapsed)
         # Before the value has settled, a deviation from the expected one proves nothing.
         judged, expected = x.lost or x.reference < math.inf, x.search.expected

@@ -222,7 +222,7 @@ def _check_tree(root: ElementTree.Element, source: str) -> str:
         ends = [(tag, None if (end := joint.find(tag)) is None else end.get("link")) for tag in ("parent", "child")]
         for tag, link in ends:
             if link not in links:
-                raise ValueError(f"{source}: joint {name}: {tag} link {link!r} is no link of the file")
+                raise ValueError(f"{source}: joint {name}: {tag} link {link!r} is not a link of the file")
         child = str(ends[1][1])
         if child in parents:
             raise ValueError(

@@ -66,7 +66,7 @@ def loaded(text: str | bytes) -> Any:
     ------
     yaml.YAMLError
     ScenarioError
-        Its depth, or what its aliases expand to, has no bound that a bag's metadata keeps.
+        Its depth, or the size of its expanded aliases, is beyond that of any metadata of a bag.
     """
     # Without aliases no text has more values than characters.
     return bounded(text, getattr(yaml, "CBaseLoader", yaml.BaseLoader), len(text))

@@ -170,7 +170,7 @@ def _nodes(branch: yaml.MappingNode, above: str, source: str) -> Iterator[tuple[
                 raise ScenarioError(f"{source}, line {line}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
             if above.endswith("/"):
                 raise ScenarioError(
-                    f"{source}, line {line}: {above!r} is no name of a node, expected no slash at its end"
+                    f"{source}, line {line}: {above!r} is not a name of a node, expected no slash at its end"
                 )
             yield above, dict(_values(value, "", source))
             over = True
@@ -181,7 +181,7 @@ def _nodes(branch: yaml.MappingNode, above: str, source: str) -> Iterator[tuple[
         if isinstance(value, yaml.MappingNode) and not value.value:
             continue  # rcl checks only names of sections that are not empty
         if not all(map(_TOKEN.fullmatch, path.removesuffix("/").split("/")[1:])):
-            raise ScenarioError(f"{source}, line {line}: {path!r} is no name of a node or namespace")
+            raise ScenarioError(f"{source}, line {line}: {path!r} is not a name of a node or namespace")
         if not isinstance(value, yaml.MappingNode):
             raise ScenarioError(f"{source}, line {line}: {name}: expected ros__parameters: {{NAME: VALUE}}")
         yield from _nodes(value, path, source)

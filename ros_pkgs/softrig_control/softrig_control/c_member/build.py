@@ -255,7 +255,7 @@ def _inspect(library: Path, wanted: Sequence[str]) -> tuple[Hidden | None, tuple
                     "build it with this machine's compiler, or name its `sources`"
                 )
             if kind != "ET_DYN":
-                raise ValueError(f"{library} is no shared library; build it with `cc -shared -fPIC`")
+                raise ValueError(f"{library} is not a shared library; build it with `cc -shared -fPIC`")
             tables = [s for s in elf.iter_sections() if isinstance(s, SymbolTableSection)]
             symbols = [s for table in tables if table.name == ".dynsym" for s in table.iter_symbols()]
             missing_here = {s.name for s in symbols if s["st_shndx"] == "SHN_UNDEF"}
@@ -268,7 +268,7 @@ def _inspect(library: Path, wanted: Sequence[str]) -> tuple[Hidden | None, tuple
                 )
             return _hidden(elf, tables), tuple(sorted(missing_here & INTRUSIVE))
     except (ELFError, UnicodeDecodeError, AttributeError, LookupError, TypeError, OverflowError) as error:
-        raise ValueError(f"{library} is no shared library ({error or 'not ELF'})") from None
+        raise ValueError(f"{library} is not a shared library ({error or 'not ELF'})") from None
 
 
 def _hidden(elf: ELFFile, tables: Sequence[SymbolTableSection]) -> Hidden | None:

@@ -88,7 +88,7 @@ def structs(compiled: Path, prefix: str) -> dict[str, Struct]:
 def _struct(die: DIE, params: str) -> Struct:
     struct = _stripped(die)
     if struct.tag not in ("DW_TAG_structure_type", "DW_TAG_class_type"):
-        raise LayoutError(f"{_name(die)} is no struct")
+        raise LayoutError(f"{_name(die)} is not a struct")
     leaves: list[Leaf] = []
     constants: list[str] = []
     for member in _members(struct):

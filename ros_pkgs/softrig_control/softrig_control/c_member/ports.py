@@ -160,7 +160,7 @@ def table(
         )
     for topic in (*trajectories, *frames, *held):
         if not outward and topic in held and topic not in topics:
-            raise ValueError(f"held: {topic!r} is no topic of inputs; they are {_list(topics)}")
+            raise ValueError(f"held: {topic!r} is not a topic of inputs; they are {_list(topics)}")
     ports, position_of = [], dict[str, tuple[int, int]]()
     for k, (topic, cells) in enumerate(topics.items()):
         port = port_of(

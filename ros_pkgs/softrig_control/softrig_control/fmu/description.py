@@ -260,7 +260,7 @@ def _check_content(archive: zipfile.ZipFile) -> None:
         if len(names) > DEEPEST:
             raise ValueError(f"{entry.filename[:60]}... is {len(names)} folders deep, expected at most {DEEPEST}")
         if "\\" in entry.filename or ":" in entry.filename or names[0] == "" or ".." in names:
-            raise ValueError(f"{entry.filename!r} is no path inside it")
+            raise ValueError(f"{entry.filename!r} is not a path inside it")
 
 
 def _digest(path: Path) -> str:

@@ -114,7 +114,7 @@ def mapped(
         ports.append(port)
     for name in (*trajectories, *frames):
         if not re.fullmatch(r"\S+", name):
-            raise ValueError(f"{name!r} is no topic")
+            raise ValueError(f"{name!r} is not a topic")
     return Mapped(tuple(ports), tuple(places))
 
 

@@ -111,7 +111,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._ended = np.zeros(num_envs, np.bool_)
         # For instances in Python: the states before the agent's tick, from which native code continues.
         self._before: list[Any] = [None] * num_envs
-        self._k = np.full(num_envs, -1)  # ticks of those that are native
+        self._k = np.full(num_envs, -1)  # ticks of the instances that are native
         self._fits = np.zeros(num_envs, np.bool_)  # whether the text applies to the instance
         self._t = np.zeros(num_envs)
         self._last = 0  # first tick whose step is the last one

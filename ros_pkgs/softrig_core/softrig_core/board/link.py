@@ -253,7 +253,7 @@ def _of_board(block: type[Block], entry: LinkEntry, params: Any, label: str) -> 
         raise ScenarioError(f"{label}: link: {file}: {error.strerror}; `softrig export` writes it") from None
     except ValueError as error:
         raise ScenarioError(
-            f"{label}: link: {file} is no description of firmware ({error}); `softrig export` writes it"
+            f"{label}: link: {file} is not a description of firmware ({error}); `softrig export` writes it"
         ) from None
     _check(block, params, known, f"{label}: link: {file}")
     return file, known

@@ -163,7 +163,7 @@ def opened(port: str, baud: int) -> Wire:
         device = serial.Serial(port, baud, timeout=0, exclusive=True)
     except serial.SerialException as error:
         if Path(port).exists() and not _is_terminal(port):
-            raise ScenarioError(f"link: {port} is no serial port; expected one such as /dev/ttyACM0") from None
+            raise ScenarioError(f"link: {port} is not a serial port; expected one such as /dev/ttyACM0") from None
         raise OSError(error.errno or 0, str(error)) from error
     except ValueError as error:
         raise ScenarioError(f"link: {port}: {error}") from None

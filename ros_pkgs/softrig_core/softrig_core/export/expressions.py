@@ -180,7 +180,7 @@ class Expressions(Base):
         if isinstance(base.kind, Table):
             return self.as_read(base, self.place(base, index, node))
         if not isinstance(base.kind, Tuple):
-            raise self.unknown("an item of something that is no tuple", node)
+            raise self.unknown("an item of something that is not a tuple", node)
         fixed = _fixed(node.slice)
         parts = self.parts(base, node)
         if fixed is not None:
@@ -244,7 +244,7 @@ class Expressions(Base):
     def _row(self, base: Value, elements: Sequence[ast.expr], node: ast.AST) -> Value:
         """Return the part of an array after its first indices; of another part only the shape is known."""
         if not isinstance(base.kind, Table) or len(elements) != len(base.kind.shape):
-            raise self.unknown("a part of something that is no array", node)
+            raise self.unknown("a part of something that is not an array", node)
         full = [isinstance(e, ast.Slice) and not (e.lower or e.upper or e.step) for e in elements]
         if any(isinstance(e, ast.Slice) and not w for e, w in zip(elements, full, strict=True)):
             raise self.unknown("a part of an array", node)

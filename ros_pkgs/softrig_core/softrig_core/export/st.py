@@ -528,7 +528,7 @@ class _Printer:
         base, index = self.expression(node.name), self.expression(node.subscript)
         kind = base.type[1] if isinstance(base.type, tuple) else None
         if kind is None:
-            raise NotNative("structured text of an item of something that is no array")
+            raise NotNative("structured text of an item of something that is not an array")
         return Typed(f"{base.text}[{index.text}]", kind)
 
     def _e_unaryop(self, node: Any) -> Typed:
@@ -662,7 +662,7 @@ class _Printer:
     def _math(self, name: str, arguments: Sequence[Any]) -> Typed:
         word = MATH.get(name) or OWN.get(name)
         if word is None:
-            raise NotNative(f"{name} is no function of IEC 61131-3")
+            raise NotNative(f"{name} is not a function of IEC 61131-3")
         args = [self.converted(self.expression(a), "LREAL").text for a in arguments]
         return Typed(f"{word}({', '.join(args)})", "LREAL")
 

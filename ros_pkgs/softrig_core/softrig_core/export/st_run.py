@@ -147,7 +147,7 @@ class Program:
             elif section:
                 match = re.fullmatch(r"\s*(\w+) : (.*?)(?: := (.*))?;", line)
                 if match is None:
-                    raise ValueError(f"{name}: {line!r} is no declaration")
+                    raise ValueError(f"{name}: {line!r} is not a declaration")
                 variables.append((section, match[1], match[2], match[3] or ""))
             elif line.strip():
                 body.append(line.strip())
@@ -203,7 +203,7 @@ def _line(line: str, code: list[str], depth: int, members: set[str], name: str) 
         code.append(f"{pad}{statements[line]}")
         return depth
     if not line.endswith(";"):
-        raise ValueError(f"{line!r} is no statement")
+        raise ValueError(f"{line!r} is not a statement")
     target, assigned, value = line[:-1].partition(" := ")
     if assigned and re.fullmatch(r"[\w.\[\]() +*-]+", target) and "(" not in target.partition("[")[0]:
         code.append(f"{pad}{_expression(target, members)} = copied({_expression(value, members)})")

@@ -44,7 +44,7 @@ def export_can(rig: Rig, node: str, dbc: Path, build: str, folder: Path, rows: i
     inputs, outputs = member.block_class.ports(member.params)
     messages = messages_of(dbc, member.name, inputs, outputs, build)
     if messages.hello is None or messages.ready is None:
-        raise ScenarioError(f"{dbc}: a node without {node}_from_0 has no run that its C could begin")
+        raise ScenarioError(f"{dbc}: it has no message {node}_from_0, with which the node's C begins a run")
     done = export_c(rig, node, folder, rows=rows, drawn=drawn)
     period = (member.schedule.period * 10**9).as_integer_ratio()
     plant = issubclass(member.block_class, Plant)

@@ -1,4 +1,4 @@
-"""Numbers that a scenario writes as arithmetic over ``$name`` and ``$node.parameter``: of expectations and formulas."""
+"""Numbers of expectations and formulas that a scenario writes as arithmetic over ``$name`` and ``$node.parameter``."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def number(text: str, value: Callable[[str], Any]) -> float:
     except ScenarioError:
         raise
     except (SyntaxError, LookupError, TypeError, ValueError, ArithmeticError, RecursionError, MemoryError):
-        raise ScenarioError(f"{text!r} is no number; {_FORM}") from None
+        raise ScenarioError(f"{text!r} is not a number; {_FORM}") from None
     if not math.isfinite(match):
         raise ScenarioError(f"{text!r} is {match}, expected a finite number")
     return match

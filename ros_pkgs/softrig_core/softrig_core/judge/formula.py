@@ -365,7 +365,7 @@ def _rewrite(formula: str, known: Mapping[str, float | None]) -> tuple[str, dict
             if _is_name(token) and token not in known and not (token in _CALLS and following == "("):
                 names = [*known, *_WORDS, *EDGES, *_CALLS]
                 have = f"; its names are {', '.join(known)}" if known else "; there are no shared names"
-                raise ScenarioError(f"formula {formula!r}: {token!r} is no name{closest(token, names)}{have}")
+                raise ScenarioError(f"formula {formula!r}: {token!r} is not a name{closest(token, names)}{have}")
             out.append(token)
             i += 1
             continue

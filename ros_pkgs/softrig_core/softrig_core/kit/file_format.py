@@ -82,7 +82,7 @@ class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of e
             key = self.entry(name)
             if key is None:
                 raise ScenarioError(
-                    f"{source}: {name} is no part of {self.title}{closest(name, self.known())}; "
+                    f"{source}: {name} is not part of {self.title}{closest(name, self.known())}; "
                     "remove it or correct its name"
                 )
             use, text = self.table[key]

@@ -326,7 +326,7 @@ def parsed(function: types.FunctionType) -> ast.FunctionDef:
     except (OSError, TypeError, SyntaxError):
         raise NotNative(f"{function.__qualname__}: its source cannot be read") from None
     if not isinstance(tree, ast.FunctionDef):
-        raise NotNative(f"{function.__qualname__} is no plain function")
+        raise NotNative(f"{function.__qualname__} is not a plain function")
     return tree
 
 

@@ -16,7 +16,7 @@ from ..block.block import Block
 from ..kit.resource import prefixes
 
 OURS = "softrig_"  # the names of softrig's own packages begin so
-LETTERS = 12  # of a fingerprint
+LETTERS = 12  # length of a fingerprint
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)", re.MULTILINE)
 _BUILT = {"__pycache__", ".pyc", ".so", ".nbi", ".nbc"}  # made from the sources
 

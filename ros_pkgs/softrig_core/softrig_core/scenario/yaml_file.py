@@ -46,7 +46,7 @@ class _Loader(_Base):  # type: ignore[misc]
             key = "<<" if merges else self.construct_object(key_node, deep=True)
             self.check_value(node, key, value_node)
             if not isinstance(key, Hashable):
-                raise yaml.constructor.ConstructorError(None, None, "a key is no plain word", key_node.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, "a key is not a plain word", key_node.start_mark)
             if key in seen:
                 raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
             seen.add(key)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
-STRETCH = 1 << 15  # places along the last axis that are in memory at a time
+STRETCH = 1 << 15  # indices of the last axis that are in memory at a time
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 Read = Callable[[int, int], NDArray[Any]]

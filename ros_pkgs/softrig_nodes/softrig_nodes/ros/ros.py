@@ -233,7 +233,7 @@ class ServingNode(Node):  # type: ignore[misc]
         # rclpy's own refusal would not name the parameter.
         if strange is not None:
             message = strange[:LONG]
-            reason = f"{message!r} is no parameter of {self.get_name()}{closest(message, described)}"
+            reason = f"{message!r} is not a parameter of {self.get_name()}{closest(message, described)}"
             return SetParametersResult(successful=False, reason=reason)
         untyped = next((m for m in messages if m.value.type not in TYPES), None)
         if untyped is not None:

@@ -55,7 +55,7 @@ class Losses:
         known = ("unit", *ids, LINEAR, CONSTANT)
         for column in columns:
             if column not in known:
-                raise TableError(f"{path.name}: {column} is no column of {LOSSES.title}{closest(column, known)}")
+                raise TableError(f"{path.name}: {column} is not a column of {LOSSES.title}{closest(column, known)}")
         for row in rows[1:]:
             if row.values.get(CONSTANT):
                 raise TableError(f"{row.source}: {CONSTANT} belongs into the first row")

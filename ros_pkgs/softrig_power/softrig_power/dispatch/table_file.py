@@ -74,7 +74,7 @@ class Row:
             result = float(text)
         except ValueError:
             hint = "; it has a decimal comma in a file with decimal points" if text.count(",") == 1 else ""
-            raise TableError(f"{self.source}, column {column}: {shown!r} is no number{hint}") from None
+            raise TableError(f"{self.source}, column {column}: {shown!r} is not a number{hint}") from None
         if not math.isfinite(number_of(text)):
             raise TableError(f"{self.source}, column {column}: {shown}, expected a finite number")
         return result

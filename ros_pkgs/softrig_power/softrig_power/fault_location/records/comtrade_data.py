@@ -86,7 +86,7 @@ def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
         results = [number_of(field) for field in fields[: 2 + analog]]
         for field, value in zip(fields, results, strict=False):
             if value != value and field.strip().lower() not in ("", "nan"):
-                raise DataError(f"line {k} of the data: {field.strip()!r} is no number")
+                raise DataError(f"line {k} of the data: {field.strip()!r} is not a number")
         rows.append(results)
     table = np.array(rows, dtype=np.float64).reshape(len(rows), 2 + analog)
     raw = table[:, 2:]
