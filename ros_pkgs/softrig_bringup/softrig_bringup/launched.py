@@ -121,7 +121,7 @@ class Launched:
         self._realtime = self._placement.clock == "realtime"
         os.environ[PARENT] = str(os.getpid())
         remove_leftovers()
-        join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
+        join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # reserved, so that no run chooses it
         self._folder = run_verb.results_folder(options, rig) if self._record else None
         if self._folder is not None:
             self._log = self._folder.path / "log"

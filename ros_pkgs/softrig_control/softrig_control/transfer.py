@@ -15,9 +15,9 @@ from softrig_core.kit.exact import Integers, Rows, product
 
 from .discretise import Matrix, augmented, matmul, zero_order_hold
 
-ACCURACY = 1e-9  # of the largest value of a step response: what a sampled model must reach
+ACCURACY = 1e-9  # share of the largest value of a step response: the required accuracy of a sampled model
 CHECKED = 256  # periods over which it is checked
-CONVERGED = 1e-14  # of the same, between two numbers of bits
+CONVERGED = 1e-14  # share of the same value: allowed difference between two numbers of bits
 # An unstable response is followed up to this power of two; float64 ends at 1024.
 GROWN = 900
 # Bits that the largest value must still have; with fewer, the response is computed again with more bits.

@@ -115,7 +115,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *args: Any, meant: Mapping[str, str] | None = None, surplus: str = "", **options: Any) -> None:
         super().__init__(*args, **options)
         self.meant, self.surplus = dict(meant or {}), surplus
-        self._negative_number_matcher = re.compile(r"-\.?\d")  # of Python 3.14; before it -1e-3 is an option
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # pattern of Python 3.14; before it -1e-3 is an option
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
         """Parse the arguments, or print completions of the word that the user is typing."""

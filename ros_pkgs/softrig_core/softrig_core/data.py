@@ -16,7 +16,7 @@ from functools import cache
 from types import UnionType
 from typing import Any, Literal, Self, Union, cast, get_args, get_origin
 
-Check = Callable[[Any], Any]  # of a raw value to the value of a field
+Check = Callable[[Any], Any]  # function from a raw value to the value of a field
 # What the metadata of a field may have: its name in files, if it is another one; whether files have it; and the least
 # finite number that is accepted.
 NAME, KEPT, LEAST = "name", "kept", "least"
@@ -66,7 +66,7 @@ class Data:
                 raise MisfitError("field required", (in_file,))
         try:
             return cls(**values)
-        except ValueError as error:  # of its own `__post_init__`
+        except ValueError as error:  # raised by `__post_init__` of the class itself
             raise MisfitError(f"value error, {error}") from None
 
     def having(self, **values: Any) -> Self:

@@ -71,7 +71,7 @@ def _guarded(work: Callable[[], int]) -> int:
                 status = work()
             return 1 if _incomplete and not status else status
         finally:
-            _flush()  # while there is still somebody to tell that the disk is full
+            _flush()  # while the report that the disk is full can still be printed
     except ScenarioError as error:
         # the error has a cause: it is from a user's package, whose traceback explains more than a line (a bag's does
         # not)

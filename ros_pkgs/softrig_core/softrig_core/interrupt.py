@@ -34,7 +34,7 @@ class Interrupt:
             signal.signal(signal.SIGINT, self)
         parent = os.environ.get(PARENT)
         if parent == str(os.getppid()) and sys.platform == "linux":
-            import ctypes  # not with this module, which is imported before anything: Ctrl-C in it shows its stack
+            import ctypes  # imported late: Ctrl-C during an import of this module would print its stack
 
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
             if os.getppid() != int(parent):  # died before that

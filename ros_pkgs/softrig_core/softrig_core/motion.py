@@ -69,7 +69,7 @@ class Segment(NamedTuple):
     """The motion from one point to the next."""
 
     begin: int  # ns, of the run
-    polynomials: tuple[Polynomial, ...]  # one a joint
+    polynomials: tuple[Polynomial, ...]  # one for each joint
 
 
 class Path:

@@ -28,7 +28,7 @@ def find_runner(name: str) -> Any:
     ScenarioError
         No installed package registers it; names the package of softrig that does.
     """
-    try:  # by its name first: to read the entry points of all that is installed takes 30 ms of a node's start
+    try:  # by its name first, because reading the entry points of all packages takes 30 ms of a node's start
         points = distribution("softrig_nodes").entry_points.select(group=GROUP, name=name)
     except PackageNotFoundError:
         points = entry_points(group=GROUP, name=name)

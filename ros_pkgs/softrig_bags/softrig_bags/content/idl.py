@@ -156,7 +156,7 @@ class IdlReader:
         return Nodetype.BASE, (_BASE[name], bound)
 
     def _named(self, name: str, scope: str) -> Any:
-        while True:  # from the scope itself outwards
+        while True:  # search from this scope outwards
             if scope + name in self._aliases:
                 return self._aliases[scope + name]
             if scope + name in self.structs:

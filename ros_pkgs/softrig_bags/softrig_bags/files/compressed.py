@@ -124,7 +124,7 @@ def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, b
         return data[:limit], len(data) <= limit
     if compression not in ("zstd", "lz4"):
         return b"", False
-    wrong: type[Exception] = RuntimeError  # as lz4 raises it for damaged data
+    wrong: type[Exception] = RuntimeError  # the error that lz4 raises for damaged data
     if compression == "zstd":
         stream: Any = zstd().ZstdDecompressor()
         wrong = zstd().ZstdError

@@ -62,7 +62,7 @@ class Track:
     def _thin(self) -> None:
         self.thinned = True
         old = self._n // 2 // _BUCKET * _BUCKET
-        fmin: Any = np.fmin  # its types know no axis
+        fmin: Any = np.fmin  # the annotations of numpy know no axis
         fmax: Any = np.fmax
         x = self._x[:, :old].reshape(len(self.labels), -1, _BUCKET)
         low, high = fmin.reduce(x, axis=2), fmax.reduce(x, axis=2)

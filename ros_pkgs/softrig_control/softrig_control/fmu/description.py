@@ -31,7 +31,7 @@ LONGEST = 10_000  # values of an array
 PRINTED = 1e-3  # relative tolerance, because tools print the factors of units with few digits
 _VERSION = re.compile(r"""fmiVersion\s*=\s*["']([^"']*)["']""")
 _INDEXED = re.compile(r"(?P<name>.+)\[(?P<at>\d+(,\d+)*)\]")
-BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units
+BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # base units of FMI
 # how FMPy's methods call the types: of FMI 2.0, of FMI 3.0
 KINDS = {"Real": "Real", "Integer": "Integer", "Boolean": "Boolean", "Enumeration": "Integer", "String": "String"}
 KINDS3 = {name: name for name in ("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",

@@ -135,7 +135,8 @@ def _check(member: Member) -> None:
         raise ScenarioError(f"node {member.name} is external: its code is not here")
 
 
-KINDS = ("fmu", "c", "st", "arduino", "cortex-m")  # of the verb `export`; all but the first have a parser of their own
+# Kinds of the verb `export`; all but the first have a parser of their own.
+KINDS = ("fmu", "c", "st", "arduino", "cortex-m")
 
 
 def main(arguments: Sequence[str]) -> int:

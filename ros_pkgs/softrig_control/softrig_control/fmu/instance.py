@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 Cell = tuple[str, int, int, int]  # type as FMPy calls it, value reference, which of how many values
 Numbers = tuple[float, ...]
 REAL = ("Real", "Float64", "Float32")
-DISCARDED, LAST_TIME, TERMINATED = 2, 2, 3  # of FMI 2.0: a status, and kinds of fmi2StatusKind
+DISCARDED, LAST_TIME, TERMINATED = 2, 2, 3  # constants of FMI 2.0: a status, and kinds of fmi2StatusKind
 EVENTS = 1000  # iterations of one event
 
 

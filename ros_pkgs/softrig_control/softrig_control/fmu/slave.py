@@ -27,7 +27,7 @@ else:
     Base = object  # the class in the FMU has Fmi2Slave as its second base: PythonFMU is an extra
 
 
-LARGEST = (1 << 31) - 1  # of an Integer of FMI 2.0
+LARGEST = (1 << 31) - 1  # largest Integer of FMI 2.0
 
 
 def variable(topic: str, label: str) -> str:

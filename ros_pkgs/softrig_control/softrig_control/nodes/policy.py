@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from softrig_core import Block, BlockParams, ParameterError, Port, Sample, param
 from softrig_core.scenario.port_text import ports_of
 
-GROUP = "softrig_policies"  # of entry points
+GROUP = "softrig_policies"  # group of entry points
 Act = Callable[[Sequence[float]], Sequence[float]]
 
 

@@ -10,7 +10,7 @@ from softrig_core import Array
 
 from .carima import Carima
 
-STRICT = 1e-9  # what counts as zero beside the largest entry
+STRICT = 1e-9  # share of the largest entry below which a number counts as zero
 
 
 class Certificate(NamedTuple):

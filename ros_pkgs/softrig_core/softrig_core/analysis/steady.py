@@ -24,9 +24,9 @@ from .linear_view import Differences, plant_outputs
 from .state_map import StateMap, is_source, place_of, signal_of, upstream
 
 STEPS = 25
-AT_REST = 1e-9  # of its size, what a state at rest may move in a period
+AT_REST = 1e-9  # share of the size of a state that it may move in a period at rest
 CHECKED = 200  # periods of the whole over which a run from the point is watched
-STAYS = 1e-6  # of its size, what a state may have moved after them
+STAYS = 1e-6  # share of the size of a state that it may have moved after these periods
 
 
 class NoOperatingPoint(RunError):

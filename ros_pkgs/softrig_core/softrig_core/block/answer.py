@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-Row = tuple[float, ...] | Sample  # what an output says at a tick
-Rows = tuple[Row | None, ...]  # of each output: what it publishes; None for the silence of a sporadic one
+Row = tuple[float, ...] | Sample  # answer of an output at a tick
+Rows = tuple[Row | None, ...]  # answer of each output; None for the silence of a sporadic output
 TEXT = (str, bytes, bytearray)
 # A check against `Mapping` is slow, so `dict`, which nearly all blocks return, is tried first.
 MAPPINGS = (dict, Mapping)
@@ -74,14 +74,14 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
         raise RunError(
             f"{node} returned no {port.name} at t = {t / 1e9:.9g} s; the outputs it returned: {names}"
         ) from None
-    if type(message) is tuple and len(message) == port.size and usual(message, port.bound):  # nearly always
+    if type(message) is tuple and len(message) == port.size and usual(message, port.bound):  # the usual case
         return message
     if message is None and port.sporadic:
         return None
     data: Sequence[float] = message.data if isinstance(message, Sample) else message
     try:
         if isinstance(data, TEXT) or any(isinstance(value, TEXT) for value in data):
-            raise TypeError(f"{data!r:.200} is text")  # which `float` would read
+            raise TypeError(f"{data!r:.200} is text")  # `float` would accept a text
         values = tuple(map(float, data))
     except (TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{node}: {port.name} is not a sequence of numbers at t = {t / 1e9:.9g} s: {error}") from None

@@ -79,7 +79,7 @@ class Level(IntEnum):
     ERROR = 2
 
 
-Reports = dict[str, tuple[Level, str, int]]  # by key: level, newest text, how often
+Reports = dict[str, tuple[Level, str, int]]  # level, newest text and number of reports of each key
 
 
 def note(reports: Reports, level: Level | None, key: str, text: str) -> None:

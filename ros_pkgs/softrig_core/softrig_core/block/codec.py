@@ -18,9 +18,10 @@ class Decoder:
     def __init__(self, port: Port) -> None:
         self._port = port
         self._bound = port.bound
-        self._decode = port.layout().decode  # of the last layout seen
+        self._decode = port.layout().decode  # decoder of the newest layout
         self._pick: Picker | None = None
-        self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
+        # Of a partial port: values of the channels that a message leaves out; its reader updates them.
+        self.kept = port.safe
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         """Return (stamp in ns, values); for the stamp of a message without one see `cdr.Message.mark`.

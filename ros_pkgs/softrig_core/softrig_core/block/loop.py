@@ -39,7 +39,7 @@ def answer(step: Step, t: int) -> None:
     except FAILURES as error:
         step.fail(error)
     step.store_reports()  # the answer was accepted, so the block's reports of this tick count
-    step.hand_on(t, rows)  # to the inputs that they fill in this process, then to the link
+    step.hand_on(t, rows)  # first to the inputs that they fill in this process, then to the link
     if not step.plant and step.link is not None:
         step.link.over(t)
 

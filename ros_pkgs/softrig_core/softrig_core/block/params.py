@@ -18,7 +18,7 @@ from .schedule import rational
 # Of any number in SI units. A larger one is a slip, and its powers soon leave the range of floats.
 LARGEST = 1e12
 LONGEST = 10_000  # values of one list, characters of one text
-STEPS = 100_000  # of integration in one period
+STEPS = 100_000  # steps of integration in one period
 _UPPER = ("le", "lt", "max_length")
 
 

@@ -8,7 +8,7 @@ from ..errors import RunError, describe
 from .held import Kept
 from .step import Step
 
-Moment = Mapping[str, Kept]  # by name of the member
+Moment = Mapping[str, Kept]  # values by name of the member
 
 
 class Tables:

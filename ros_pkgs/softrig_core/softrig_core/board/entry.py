@@ -108,7 +108,7 @@ def _owned(node: str, entry: LinkEntry) -> list[tuple[str, str]]:
         port = os.path.realpath(entry.port) if entry.port.startswith("/") else absolute_port(entry.port)
         return [(port, f"port, {entry.port}")]
     try:
-        text = contents_of(Path(entry.firmware)).decode("cp1252", "replace")  # as DBC files are written
+        text = contents_of(Path(entry.firmware)).decode("cp1252", "replace")  # the encoding of DBC files
     except (OSError, ValueError):  # the function that reads the file reports the error
         return []
     ids = re.findall(rf"(?m)^BO_ (\d+) {re.escape(node)}_(?:to|from)_\d+ *:", text)

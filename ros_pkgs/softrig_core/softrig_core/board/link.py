@@ -29,7 +29,7 @@ from .line import Build, Line
 from .wires import opened
 
 BAUD = 115200  # bits a second of a serial port
-PART = 0.5  # of its period that a node waits for its board in real time
+PART = 0.5  # share of its period for which a node waits for its board in real time
 DONE, GAVE_UP = 0, 1
 
 
@@ -303,7 +303,7 @@ def _packed(layout: struct.Struct, row: list[Any]) -> bytes:
         raise RunError(f"a number does not fit the board's ({error})") from None
 
 
-_lines: dict[tuple[int, str, int, str], Any] = {}  # of this process: opening a port again would reset its board
+_lines: dict[tuple[int, str, int, str], Any] = {}  # ports of this process: opening a port again would reset its board
 
 
 def _line(entry: LinkEntry, node: str, open_line: Callable[[Any], Any]) -> Any:

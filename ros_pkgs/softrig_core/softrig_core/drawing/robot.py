@@ -15,7 +15,7 @@ from .shapes import Pen, Point
 
 ROOM = (16.0, 16.0, 400.0, 328.0)  # left, top, width, height of what the robot may reach
 ELEVATION = math.radians(16.0)
-ASIDE = math.radians(24.0)  # from the side from which it is seen widest: depth shows
+ASIDE = math.radians(24.0)  # rotated from the widest view, so that depth is visible
 POSTURES = 150
 PATH = 40  # points of the tip's path
 GRID = 4  # lines on the ground a direction

@@ -20,7 +20,7 @@ PALETTE = {
     "second": ("#d55e00", "#ff9e4a"),
     "third": ("#009e73", "#2fd3a4"),
     "fourth": ("#b0508b", "#e09cc4"),
-    "reference": ("#555555", "#bbbbbb"),  # what is wanted
+    "reference": ("#555555", "#bbbbbb"),  # desired values
     "alarm": ("#cc3311", "#ff7a66"),  # a limit, a fault
 }
 

@@ -29,7 +29,7 @@ from .kinds import (
 from .unit import FIXED, WHOLE, Unit, Value, literal
 
 SHOWN = 60  # letters of a statement that a refusal shows
-VARIANTS = 12  # of a name of Python that has several types, one after the other
+VARIANTS = 12  # types that a name of Python may have, one after the other
 
 
 class Base:
@@ -50,10 +50,10 @@ class Base:
             self.origin = f"{function.__module__}.{function.__qualname__}"
         assert isinstance(tree, ast.FunctionDef)
         self.tree = tree
-        self.kinds_of: dict[str, Kind] = {}  # of C's variables
+        self.kinds_of: dict[str, Kind] = {}  # kinds of the variables of C
         self.result: Kind | None = None
         self.local_tables: dict[str, Table] = {}
-        self.name = ""  # of the function in C
+        self.name = ""  # name of the function in C
         self.lines: list[str] = []
         self.env: dict[str, Value] = {}
         self.loops: list[list[tuple[str, bool]]] = []  # names that each loop binds, and whether they were bound before

@@ -32,7 +32,7 @@ from .reader import Reader
 from .unit import Unit, Value, literal, reads
 
 SUPPORT, DRAWS = "softrig_c.h", "softrig_draws.h"
-STATES = 50  # of the calls that must stay unchanged under another value of a settable parameter
+STATES = 50  # number of calls whose result must not change with another value of a settable parameter
 SHIFTS = (1.0625, 0.9375, 0.5, 2.0, -1.0)  # factors by which a parameter is tried, until one is in its bounds
 
 

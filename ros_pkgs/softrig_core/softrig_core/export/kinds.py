@@ -18,7 +18,7 @@ class Number:
     """A number: ``real_t``, ``int64_t`` or ``bool``."""
 
     c: str
-    rank: int  # of two numbers that meet, the result has the type of the higher rank
+    rank: int  # of two operands the one with the higher rank gives the type of the result
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def remark(text: str) -> str:
 BOOL, INT, REAL = Number("bool", 0), Number("int64_t", 1), Number("real_t", 2)
 ABSENT = Absent()
 COMPLEX = Tuple((REAL, REAL), ("real", "imag"), "complex")
-ITEMS = {"f": REAL, "i": INT, "b": BOOL, "c": COMPLEX}  # by the kind of an array's type
+ITEMS = {"f": REAL, "i": INT, "b": BOOL, "c": COMPLEX}  # kind of number by the kind of an array's type
 Kind = Number | Absent | Tuple | Maybe | Table
 
 

@@ -30,7 +30,7 @@ from .kinds import (
 )
 from .unit import WHOLE, Signature, Value, bare, reads
 
-ROUNDS = 12  # of reading a function until its types stay
+ROUNDS = 12  # passes over a function until its types no longer change
 ASSIGNED = re.compile(r"( *)(\w+) = (.*);")
 
 

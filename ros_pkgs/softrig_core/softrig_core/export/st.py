@@ -53,7 +53,7 @@ class Unit:
     name: str
     head: list[str]  # declarations
     body: list[str] = field(default_factory=list)
-    fields: list[tuple[str, str]] = field(default_factory=list)  # of a struct
+    fields: list[tuple[str, str]] = field(default_factory=list)  # names and types of the members of a struct
     result: str = ""
 
     def text(self) -> str:
@@ -141,7 +141,7 @@ class _Printer:
         self.result: Any = None
         self.increments: list[str] = []
         self.own = ""
-        self.newest: dict[str, str] = {}  # of a variable of C: the newest one of that name
+        self.newest: dict[str, str] = {}  # newest name of each variable of C
 
     # names and types ----------------------------------------------------------------------------------------------
 

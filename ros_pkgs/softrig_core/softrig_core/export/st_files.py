@@ -27,7 +27,7 @@ from .st_run import Program
 
 FORMATS = ("st", "tcpou", "plcopen")
 ROWS, DRAWN = 500, 300  # calls that become golden rows
-NEAR = 1e-12  # of a number, where a library's last bit may be another
+NEAR = 1e-12  # relative difference of numbers, because the last bit of another library may differ
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ _SECTIONS = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR_IN_OUT":
 def _plcopen(units: Sequence[Unit], name: str) -> str:
     """Return all parts as a project of PLCopen's XML (TC6, 2.01)."""
     register_namespace("", _TC6)
-    stamp = "2000-01-01T00:00:00"  # the same file again for the same node
+    stamp = "2000-01-01T00:00:00"  # a fixed date, so that the same node gives the same file
     root = Element(f"{{{_TC6}}}project")
     _sub(root, "fileHeader", companyName="", productName="softrig", productVersion="1", creationDateTime=stamp)
     content = _sub(_sub(root, "contentHeader", name=name), "coordinateInfo")

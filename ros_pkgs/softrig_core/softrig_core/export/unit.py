@@ -44,7 +44,7 @@ class Value:
 
     kind: Kind
     c: str
-    thing: Any = None  # what a name of Python stands for, where it is no value of C
+    thing: Any = None  # the object that a name of Python denotes, if it is not a value of C
     partly: bool = False  # whether the name has it on some ways only
 
 
@@ -92,11 +92,12 @@ class Unit:
     count: int = 0  # number of functions that have begun
     libm: set[str] = field(default_factory=set)
     fixed: dict[str, Any] = field(default_factory=dict)  # constant tuples and numbers with a name, by how C writes them
-    parts: dict[tuple[str, Any], np.ndarray] = field(default_factory=dict)  # of constant tuples and arrays
-    places: dict[int, str] = field(default_factory=dict)  # of arrays of Python that are tables of C
+    parts: dict[tuple[str, Any], np.ndarray] = field(default_factory=dict)  # arrays of constant tuples and arrays
+    places: dict[int, str] = field(default_factory=dict)  # names of the C tables of Python's arrays
     by_name: dict[str, Any] = field(default_factory=dict)
-    casadi: Mapping[str, Compiled] = field(default_factory=dict)  # by the name of the function that calls it
-    sources: dict[str, str] = field(default_factory=dict)  # of casadi, by the name of their functions in C
+    # Compiled functions of casadi by the name of the function that calls them.
+    casadi: Mapping[str, Compiled] = field(default_factory=dict)
+    sources: dict[str, str] = field(default_factory=dict)  # C sources of casadi by the name of their functions
     rooms: dict[str, Table] = field(default_factory=dict)  # arrays of functions that return one
 
     def used(self, roots: Sequence[str]) -> tuple[list[str], list[str]]:

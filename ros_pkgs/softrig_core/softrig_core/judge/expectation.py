@@ -17,7 +17,7 @@ _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 _TWO_SIDED = re.compile(rf"{_NUMBER}\s*\+-\s*{_NUMBER}\s*(%?)")
 _BOUND = re.compile(rf"at (most|least) {_NUMBER}")
 _RANGE = re.compile(rf"between {_NUMBER} and {_NUMBER}")
-_FOLLOWING = re.compile(r"(?:at (most|least)|between) (.+)")  # of forms with $ references
+_FOLLOWING = re.compile(r"(?:at (most|least)|between) (.+)")  # forms of expectations with $ references
 # A tolerance beyond this share of its value is no test, so it has to be written as bounds.
 WIDEST = 0.25
 FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or 'between A and B'"

@@ -53,7 +53,8 @@ __all__ = [
 ]  # fmt: skip
 
 NS = 1e-9
-UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
+# The errors that figure functions raise.
+UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 # A figure that exceeds its possible range by less than this is due to rounding and is no error.
 ROUNDING = 1e-9
 # Below so many instants a binary search is faster than the check whether each has its own newest time.
@@ -245,7 +246,7 @@ def mean_error(
 
 def _over_time(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
     """Create a figure from a function of signal - reference and of the time for which each value holds (ns)."""
-    return _statistic(unit, lambda *arguments: _held_error(*arguments))  # which is defined below
+    return _statistic(unit, lambda *arguments: _held_error(*arguments))  # the function is defined below
 
 
 def _of_samples(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
@@ -392,7 +393,8 @@ def growth_rate(
         raise ValueError(f"{signal} has {k.size} peaks between {t[0]:g} and {t[-1]:g} s, needed 3 for a growth rate")
     u, v = (t[1:-1] - t[:-2])[k], (t[2:] - t[1:-1])[k]
     rising, falling = (centre - before)[k] / u, (after - centre)[k] / v
-    slope, curve = (rising * v + falling * u) / (u + v), (falling - rising) / (u + v)  # of the parabola, at the sample
+    # Slope and curvature of the parabola at the sample.
+    slope, curve = (rising * v + falling * u) / (u + v), (falling - rising) / (u + v)
     return float(np.polyfit(t[1:-1][k] - slope / (2.0 * curve), np.log(centre[k] - slope**2 / (4.0 * curve)), 1)[0])
 
 

@@ -23,7 +23,7 @@ _BIND, _REC, _PRIVATE, _NOSUID, _NODEV = 0x1000, 0x4000, 0x40000, 2, 4
 # mount_setattr(2) has no wrapper in older C libraries; its number is the same on every architecture (Linux 5.12).
 _SETATTR = 442
 _RECURSIVE, _RDONLY, _ATTR_NOSUID, _ATTR_NODEV = 0x8000, 1, 2, 4
-_CAPBSET_DROP, _NO_NEW_PRIVS = 24, 38  # of prctl
+_CAPBSET_DROP, _NO_NEW_PRIVS = 24, 38  # constants of prctl
 _CAPABILITIES = 0x20080522  # version of capset
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 Past = float | Sequence[float] | Callable[[float], float | Sequence[float]]
-FIELDS = ("x0", "x1", "dx0", "dx1")  # of a trajectory, with a channel each
+FIELDS = ("x0", "x1", "dx0", "dx1")  # fields of a trajectory, with a channel each
 
 
 class Trajectory(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Rows = Sequence[Sequence[Fraction]]
-Integers = NDArray[Any]  # of Python's integers, in units of 2^-bits
+Integers = NDArray[Any]  # array of Python's integers, in units of 2^-bits
 Result = TypeVar("Result")
 
 # Numbers of bits to try. The fourth holds all that float64 does, of any matrix of moderate norm.

@@ -41,7 +41,7 @@ def resolving_step(period: float, substeps: int, *rates: tuple[float, str]) -> f
         A rate needs more than `STEPS` steps and more than `substeps`; names it.
     """
     rate, name = max(rates)
-    needed = rate * period / RESOLVED * (1.0 - 1e-12)  # what rounding adds is no further step
+    needed = rate * period / RESOLVED * (1.0 - 1e-12)  # a rounding error does not require a further step
     if needed > max(STEPS, substeps):
         raise ValueError(
             f"{name}: its fastest time constant is {1.0 / rate:.2g} s, a period is {period:g} s; check the units, or "

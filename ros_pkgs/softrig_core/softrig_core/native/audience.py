@@ -17,7 +17,7 @@ from ..block.schedule import Plan, Schedule
 from ..block.step import Step
 from ..wire.times import once_for_times
 
-NEVER = -1  # of a time, ns
+NEVER = -1  # ns, in place of a time
 
 
 @once_for_times

@@ -641,7 +641,7 @@ class Calls(Expressions):
         if called is complex:
             return self._written("complex", complex, args)
         if called is round and len(args) > 1 and self.program.inferred:
-            return MADE_TEXT  # what is rounded to digits is shown, not computed with
+            return MADE_TEXT  # numbers rounded to digits are for display, not for computation
         if called is round and len(args) > 1:
             raise self.unknown("round to digits", node)
         if called is int and isinstance(samples[0], bool):

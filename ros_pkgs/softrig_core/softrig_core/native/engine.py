@@ -102,7 +102,7 @@ class Engine:
         self._smooth = False  # whether all that watch take what is recorded in one batch
         self._time = self._plan.clock.time
         self._fit: Fitted | None = None
-        self._forms: list[Any] = []  # of the members when the text was looked for last
+        self._forms: list[Any] = []  # forms of the members at the newest check of the text
 
     def run(self, first: int = 0) -> Iterator[int | None]:
         """Run all ticks of a run that has an end; then store in the steps which part of them was native.

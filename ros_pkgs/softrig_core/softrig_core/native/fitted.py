@@ -62,7 +62,7 @@ class CachedText:
 
 _texts: list[CachedText] = []
 _refused: dict[Any, str] = {}  # kinds that are native only without their rarely due members, and why
-_counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
+_counts: dict[Any, tuple[int, int]] = {}  # for each kind: number of rigs that needed another text, number of texts
 
 
 class Core:
@@ -219,7 +219,7 @@ class Fitted:
         self._n = self._zeros(3, int)  # tick under way, random numbers that are missing, tick with which places begin
         self.when = self._zeros(1 + len(core.holdings) + len(core.speakers), int)
         self.reported = self._zeros(program.reports.size if program.reports else 0, float)
-        self._arrays: tuple[Any, ...] = ()  # what the function gets after its state, as `RigText.arrays`
+        self._arrays: tuple[Any, ...] = ()  # arguments of the function after its state, as `RigText.arrays`
         self._begin, self.rows = 0, dict[int, Answers]()
 
     @property

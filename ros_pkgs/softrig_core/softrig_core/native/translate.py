@@ -28,7 +28,7 @@ from ..kit.jit import Jit
 from .reports import Reports
 from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value, is_made_text, mapped
 
-TURNS = 16  # of a loop that is written out
+TURNS = 16  # turns up to which a loop is written out
 # Statements of a casadi function that are written into the text, at most. Each takes a millisecond to compile, and
 # beside more of them a call takes next to no time.
 FORMULA = 500
@@ -71,7 +71,7 @@ class Specialised:
     result: Value
 
 
-NEVER = Specialised("", (), Dynamic("", UNKNOWN, False))  # of a function that always discards the tick
+NEVER = Specialised("", (), Dynamic("", UNKNOWN, False))  # a function that always discards the tick
 
 
 @dataclass
@@ -112,7 +112,8 @@ class Program:
     guards: dict[Path, Any] = field(default_factory=dict)
     scratches: dict[Path, str] = field(default_factory=dict)
     newest: set[Path] = field(default_factory=set)
-    objects: dict[Path, Any] = field(default_factory=dict)  # as native code takes them, where types are inferred
+    # Python's objects that native code accepts where types are inferred.
+    objects: dict[Path, Any] = field(default_factory=dict)
     callers: dict[str, str] = field(default_factory=dict)
     known: dict[Any, Specialised] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)

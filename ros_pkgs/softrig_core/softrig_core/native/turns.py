@@ -18,7 +18,7 @@ from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
 from .ways import alike
 from .writer import Writer
 
-EDGE = 1.0 - 1e-9  # of the bound: the sum of squares is rounded, so what is nearer is left to Python's check
+EDGE = 1.0 - 1e-9  # share of the bound: the sum of squares is rounded, so Python checks what is closer
 LARGEST = 1 << 62
 FEW = 3  # squares of fewer numbers are written out
 # Table of times, ns: of the tick, of the message in each holding, of the newest message of each sporadic output.

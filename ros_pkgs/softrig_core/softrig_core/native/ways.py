@@ -55,10 +55,10 @@ class Ways:
         self.lines: list[str] = []
         self.arrays: set[str] = set()
         self.returned: list[Value] = []
-        self.ended = False  # what follows is never reached
+        self.ended = False  # the rest of the code is never reached
         self._temporaries = 0
         self._inside = 0  # loops of native code
-        self.sampled: Any = UNKNOWN  # what the test read last was, by the samples
+        self.sampled: Any = UNKNOWN  # value that the newest test read, by the samples
         self.left = False  # whether the branch of the last `if` that the samples take leaves the function or the loop
 
     def unknown(self, construct: str, node: ast.AST | None = None) -> NotNative:

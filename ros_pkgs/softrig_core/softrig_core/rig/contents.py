@@ -156,7 +156,7 @@ def _scratch(cls: type) -> frozenset[str]:
 def digest(value: Any) -> str:
     """Return a digest of a value with all that it leads to; see `contents`."""
     result = hashlib.blake2b(digest_size=16)
-    seen: dict[int, Any] = {}  # by identity, and kept, so that no identity is used again
+    seen: dict[int, Any] = {}  # objects by identity; they are kept, so that no identity is used again
     stack = [value]
     while stack:
         item = stack.pop()

@@ -12,7 +12,7 @@ from ..block.block import Block
 from ..errors import FAILURES, ScenarioError, closest, describe
 from ..renamed import executable_of, executables
 
-_NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
+_NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # messages of the C library and its loader
 
 
 def load_main(package: str, executable: str) -> Any:

@@ -20,9 +20,9 @@ from ..solver.solver import Solver
 from .contents import contents, differing, digest, in_place
 from .installed import block_of
 
-TICKS = 3  # of each block
+TICKS = 3  # ticks of each block
 GROUPS = ("console_scripts", "softrig_figures")
-LINTERS = ("flake8", "pep257")  # of ament; the repository itself has ruff and mypy
+LINTERS = ("flake8", "pep257")  # linters of ament; the repository itself uses ruff and mypy
 IGNORED = "D100 D104 D105 D107 D203 D205 D213 D400 D401 D406 D407 D413"  # as ruff does, see pyproject.toml
 
 
@@ -105,7 +105,7 @@ def check_entry_point(point: EntryPoint) -> str:
         first, second = (_outputs(block, outputs, seed=3) for _ in range(2))
         if first != second:
             raise ValueError(f"{point.name} starts with {first}, after a reset with {second}")
-    if not isinstance(block, Solver):  # whose ticks start a process
+    if not isinstance(block, Solver):  # ticks of a solver start a process
         _check_ticks(point.name, block, inputs)
     return ""
 

@@ -30,7 +30,7 @@ from .agreement import require_agreement
 from .installed import load_block
 from .members import Link, Member, Members, unit_of
 
-TICKS = 10**9  # of the clock in one run: more would take days
+TICKS = 10**9  # ticks of the clock in one run: more would take days
 
 
 @dataclass(frozen=True)

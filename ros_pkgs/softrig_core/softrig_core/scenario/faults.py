@@ -13,7 +13,7 @@ from ..errors import ScenarioError, closest
 
 PACKAGE, EXECUTABLE = "softrig_control", "fault"
 TAKEN = ("bag", "log")
-WORDS = {"from": "start", "to": "stop", "channels": "affects"}  # as scenarios say it: the node's parameter
+WORDS = {"from": "start", "to": "stop", "channels": "affects"}  # words of scenarios for the node's parameters
 Ports = tuple[tuple[Port, ...], tuple[Port, ...]]
 
 

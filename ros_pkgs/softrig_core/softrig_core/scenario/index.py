@@ -11,7 +11,7 @@ from typing import NamedTuple
 from ..errors import ScenarioError
 from .scenario_file import list_scenarios, scenario_folders
 
-State = dict[str, list[int]]  # by path: time of change in ns, size
+State = dict[str, list[int]]  # time of change (ns) and size by path
 
 
 class Listed(NamedTuple):
@@ -88,7 +88,7 @@ def _folders() -> list[str]:
 
 def _read_index(path: Path) -> list[Listed] | None:
     """Return the content of the index, None if it does not belong to the present folders and files."""
-    with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):  # none, or damaged
+    with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):  # the file is missing or damaged
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["folders"] == _folders() and content["state"] == _states(_candidates()):
             return [Listed(*row) for row in content["rows"]]

@@ -79,7 +79,7 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
     if first["type"] == "extra_forbidden":
         key, keys = str(first["loc"][-1]), _keys(model, first["loc"][:-1])
         hint = f"unknown key{closest(key, keys)}"
-        if "arguments" in keys and hint == "unknown key":  # of a figure
+        if "arguments" in keys and hint == "unknown key":  # key of a figure
             hint += f"; arguments of its function belong below arguments: {{{key}: ...}}"
     structured = first["type"] == "missing" or isinstance(first["input"], BaseModel | dict)
     value = "" if structured else f", got {first['input']!r}"[:120]

@@ -12,7 +12,7 @@ from .scenario_file import SHARED, Over, merge
 from .yaml_file import NODES
 
 DEEPEST = 200  # values in each other, and references that lead to references
-_PLAIN = frozenset({float, int, bool, type(None)})  # what stands for itself
+_PLAIN = frozenset({float, int, bool, type(None)})  # values that contain no reference
 _PARAMETER = re.compile(r"\$([A-Za-z_]\w*)\.([\w.]+)")
 
 
@@ -153,7 +153,7 @@ def parameter_of(context: str, nodes: Mapping[str, Any], params: Callable[[str],
         raise ScenarioError(f"{context}${node}.{name}: the nodes are {', '.join(nodes)}")
     parameters = params(node)
     try:
-        return pick(flattened(parameters), name)  # what is derived takes longer to find
+        return pick(flattened(parameters), name)  # derived parameters take longer to find
     except KeyError:
         pass
     values = known(parameters)

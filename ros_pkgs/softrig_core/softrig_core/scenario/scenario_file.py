@@ -18,8 +18,8 @@ from ..renamed import report
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
 _FILE = re.compile(r"[^/\s$:][^\s$:]{0,300}\.[A-Za-z]\w{0,9}")  # a relative path that ends as files do
-PARENTS = 50  # that extend each other
-OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stands in its own entry: never inherited
+PARENTS = 50  # length of a chain of `extends`
+OWN = ("expect", "requirements", "claims")  # a scenario does not inherit the keys by which it is judged
 
 
 def scenario_folders() -> Iterator[Path]:

@@ -53,8 +53,8 @@ from .result import DECIDED, Result
 MOST = 1e300
 SIGNALS = ("signal", "reference", "final", "initial")  # arguments that name a signal, if they are a word
 NONE = Expectation()
-HOLDS = Expectation(at_least=0.0)  # what is expected of the margin of a requirement
-STEP = ("final", "initial")  # of these, those of a step
+HOLDS = Expectation(at_least=0.0)  # a requirement holds if its margin is 0 or more
+STEP = ("final", "initial")  # those among them that describe a step
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ..data import KEPT, LEAST, NAME, Data
 
-DECIDED = "by its conditions alone"  # of a requirement without a distance
+DECIDED = "by its conditions alone"  # value of a requirement without a distance
 
 
 @dataclass(frozen=True, kw_only=True)

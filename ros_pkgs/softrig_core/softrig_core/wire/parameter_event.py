@@ -9,7 +9,7 @@ from ..timebase import SECOND
 from .stream import Reader, Writer
 
 TOPIC, TYPE = "parameter_events", "rcl_interfaces/msg/ParameterEvent"
-_ONE = {1: "?", 2: "q", 3: "d"}  # of a value's field: bool, int64, float64; a string is the fourth
+_ONE = {1: "?", 2: "q", 3: "d"}  # types of a value's field: bool, int64, float64; a string is the fourth
 _BOOL, _INTEGER, _DOUBLE, _STRING, _BOOLS, _INTEGERS, _DOUBLES, _STRINGS = 1, 2, 3, 4, 6, 7, 8, 9
 _MANY = ((_BOOLS, "?"), (_INTEGERS, "q"), (_DOUBLES, "d"))
 _KINDS = {bool: (_BOOL, _BOOLS), int: (_INTEGER, _INTEGERS), float: (_DOUBLE, _DOUBLES), str: (_STRING, _STRINGS)}
@@ -38,7 +38,7 @@ def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
     writer = Writer()
     writer.add("I", t // SECOND, t % SECOND)
     writer.text(node)
-    writer.add("I", 0, len(values))  # none is new
+    writer.add("I", 0, len(values))  # no new parameters
     for name, value in values.items():
         writer.text(name)
         _write(writer, value)

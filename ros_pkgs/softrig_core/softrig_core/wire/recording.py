@@ -162,7 +162,7 @@ class Topic:
         self._times: list[int] = []
         self._data: list[bytes] = []
         self._columns: list[Columns | Stored] = []
-        self._timed = self._made = 0  # so many of the columns are in the lists
+        self._timed = self._made = 0  # number of columns that are in the lists already
         # Rows that were added are converted in one batch, when somebody reads the topic.
         self.settle: Callable[[], object] = _nothing
 

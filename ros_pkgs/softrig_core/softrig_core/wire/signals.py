@@ -120,7 +120,7 @@ class Signals(Mapping[str, Signal]):
         self._epoch = epoch
         self._tables: dict[str, Table] = {}
         self._known: dict[str, Signal] = {}
-        self.shared: dict[Hashable, Any] = {}  # what figures have computed of them, see `measures.shared`
+        self.shared: dict[Hashable, Any] = {}  # results that figures share, see `measures.shared`
         # Topics of one node have the same times, which are converted once.
         self._times: dict[tuple[object, ...], tuple[Any, Array]] = {}
         self._also: Mapping[str, Mapping[str, str]] = {}

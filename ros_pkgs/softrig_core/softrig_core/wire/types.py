@@ -11,7 +11,7 @@ from functools import cached_property
 from itertools import product
 from typing import Literal, NamedTuple
 
-Dims = tuple[tuple[str, int], ...]  # of an array: label and size of each dimension, the last one changing fastest
+Dims = tuple[tuple[str, int], ...]  # dimensions of an array: label and size of each, the last one changing fastest
 Kind = Literal["stamp", "frame", "names", "dims", "one", "sequence", "numbers", "flag", "duration"]
 AXES = "xyzw"
 

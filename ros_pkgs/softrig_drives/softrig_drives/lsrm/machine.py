@@ -10,7 +10,7 @@ from softrig_core import Array, Params, jit, param
 
 Triple = tuple[float, float, float]
 
-Vector = tuple[Any, ...]  # of floats; a slice of a named tuple has the type of all its fields
+Vector = tuple[Any, ...]  # tuple of floats; a slice of a named tuple has the type of all its fields
 State = tuple[float, float, float, float, float, float]
 
 N_PHASES = 4

@@ -14,7 +14,7 @@ MOTION = joint_state("joint_states", "joint_states", TRANSLATOR, position="m", v
 SPEED = joint_state("joint_states", "joint_states", TRANSLATOR, velocity="m/s")
 PHASE_CURRENTS = joint_state("phase_currents", "phase_currents", PHASES, position="A")
 PHASE_VOLTAGE = command("phase_voltage", "phase_voltage", PHASES, "V")
-FORCE_PHASES = command("force_phases", "force_phases", PHASES, "N")  # to look at; no controller reads it
+FORCE_PHASES = command("force_phases", "force_phases", PHASES, "N")  # for display; no controller reads it
 FORCE_CMD = command("force_cmd", "force_cmd", TRANSLATOR, "N")
 REFERENCE = reference("reference", "reference", TRANSLATOR, position="m", velocity="m/s", acceleration="m/s^2")
 THETA = scalars("theta", "theta", {"mass": "kg", "damping": "N s/m", "friction": "N"})

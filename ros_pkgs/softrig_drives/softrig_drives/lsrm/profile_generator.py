@@ -13,7 +13,7 @@ from .machine import Mechanics
 from .ports import REFERENCE
 from .profile import Kind, Profile, Quintic
 
-SAMPLES = 400  # of each ramp, to look for the largest force
+SAMPLES = 400  # samples of each ramp at which the largest force is searched
 
 
 class ProfileGeneratorParams(Mechanics, BlockParams):

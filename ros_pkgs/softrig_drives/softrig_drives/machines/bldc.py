@@ -58,7 +58,7 @@ class State(NamedTuple):
     fault: bool = False
 
 
-CUTS = 100  # of the steps of a period, a few as a rule: beyond all physical speeds cuts would never end
+CUTS = 100  # cuts of a period, usually a few: beyond all physical speeds they would never end
 
 
 @jit
@@ -182,7 +182,7 @@ def advance(
             n_c = i_c + h / 6.0 * (c1 + 2.0 * c2 + 2.0 * c3 + c4)
             if tried == 1:
                 break
-            share = 1.0  # of the step until the first current of a phase that is off comes to zero
+            share = 1.0  # share of the step until the first current of a phase that is off becomes zero
             if gates[0] < 0.0 and i_a * n_a < 0.0:
                 share = min(share, i_a / (i_a - n_a))
             if gates[1] < 0.0 and i_b * n_b < 0.0:

@@ -21,7 +21,7 @@ from .synchronous import SynchronousConstants
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 Three = tuple[float, float, float]
-ROUNDING = 1e-9  # of a duty ratio that a law has computed
+ROUNDING = 1e-9  # allowed rounding of a duty ratio from a controller
 
 
 class MachineParams(Mechanics, InverterParams):

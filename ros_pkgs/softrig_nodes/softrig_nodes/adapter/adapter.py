@@ -121,7 +121,7 @@ class Adapter:
         self.waits_for: list[str] = []  # the nodes whose absence or silence ended the run
         self.absent: list[str] = []  # nodes for which the start waits
         self.lacking: list[str] = []  # topics of external nodes that no node publishes yet
-        self.files = self._files()  # of a node that was started again
+        self.files = self._files()  # files of a node that was restarted
         self.on_finished: Callable[[], None] = lambda: None
         self.account = Account(self)
         self.inputs: list[Input] = []  # inputs from other nodes, in the order of the drive's table

@@ -81,7 +81,8 @@ class Carrier:
         self.handles: dict[str, int] = {}
         # Whether native code fills the ring, and whether Python has since that ended.
         self._lent = self._filled = False
-        self._memory, self._size = np.zeros(0, np.int64), 0  # for messages of native code: all, and bytes of each
+        # Memory for all messages of native code, and bytes of each message.
+        self._memory, self._size = np.zeros(0, np.int64), 0
 
     def run(self) -> None:
         """Publish the messages of the ring until one for publisher 0."""
@@ -171,7 +172,7 @@ class Carrier:
         while self._room < SLOTS:
             if not self._c.sem_timedwait(self._free, until):
                 self._room += 1
-            elif time.time() > limit:  # else a signal has ended the wait
+            elif time.time() > limit:  # otherwise a signal has ended the wait
                 raise RCLError(f"{SLOTS - self._room} messages are not published within {PATIENCE:g} s")
         self.check()
 

@@ -25,7 +25,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 VARIABLE = "SOFTRIG_PUBLIC"
 SEEN = "rclpy 7.1 (Jazzy), 9.1 (Kilted)"
 HEADER = struct.Struct("qq16sq")  # rmw_service_info_t: two times in ns, the client, the number of the request
-OF_ROS = ("use_sim_time", "start_type_description_service")  # which every node declares itself
+OF_ROS = ("use_sim_time", "start_type_description_service")  # parameters that every node declares itself
 
 
 class Use(NamedTuple):

@@ -37,7 +37,7 @@ class Motion(NamedTuple):
 
     end: int  # ns of the run: time of the last point
     times: tuple[int, ...]  # ns of the run: of the points of the message
-    values: Mapping[str, Any]  # of the parameters ``goal.*``
+    values: Mapping[str, Any]  # values of the parameters ``goal.*``
 
 
 def nanoseconds(time: Any) -> int:

@@ -55,7 +55,7 @@ class Lockstep(Link):
         self._turns = turns
         self.senders = PairedSenders(node, turns)
         self._stalls = Stalls(self.senders)
-        self._checks = 0  # of the start
+        self._checks = 0  # checks of the start
         self._over = False  # the last tick is answered
         self._awaited = 0  # tick whose required messages are set
         self._last = math.inf if node.schedule.last is None else node.schedule.last

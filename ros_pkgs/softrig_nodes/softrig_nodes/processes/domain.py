@@ -24,8 +24,8 @@ from .shared_memory import remove_leftovers
 DOMAINS = range(1, 101)
 # Used when those are taken, beginning with the domains whose ports lie above the ephemeral range.
 BEYOND = (*range(215, 232), *range(101, 215))
-HIGHEST = 232  # what DDS can number
-SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # of Linux: <net/if.h>
+HIGHEST = 232  # the highest number that DDS allows
+SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # constants of Linux: <net/if.h>
 
 
 @contextmanager
@@ -155,7 +155,7 @@ def require_loopback() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         try:
             request = fcntl.ioctl(any_socket, SIOCGIFFLAGS, struct.pack("256s", b"lo"))
-        except OSError:  # it has another name here
+        except OSError:  # the file has another name here
             return
     if not struct.unpack_from("H", request, 16)[0] & IFF_UP:
         raise RunError("the loopback interface lo is down, and nodes find each other over it; `ip link set lo up`")

@@ -26,14 +26,16 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-BASE, GAIN = 7400, 250  # of the well-known ports: a domain has that many numbers
+BASE, GAIN = 7400, 250  # first of the well-known ports, and number of ports for each domain
 WELL_KNOWN = {"offsetd0": 0, "offsetd1": 10, "offsetd2": 1}
-STANDARD = 11  # of the user ports
+STANDARD = 11  # offset of the user ports
 HIGHEST = 65_535  # the last domain of all has no room for others
-USER = range(76, 188)  # of a domain's numbers, those that no other has, even two further for each of 32 participants
+# Numbers within a domain's ports that no other participant has, even with two further ones for each of 32
+# participants.
+USER = range(76, 188)
 # Fast DDS searches this many numbers below the base for the port of the topic on which ROS announces its nodes.
 UNIQUE = 400
-FLOWS = range(BASE - 3 * UNIQUE, BASE - UNIQUE)  # of the whole host; other participants take those above
+FLOWS = range(BASE - 3 * UNIQUE, BASE - UNIQUE)  # ports for the whole host; other participants take those above
 AROUND = 18.0  # s; a lease is rarely longer, so the others have forgotten a dead node when its numbers return
 # Processes that start within an eighth of `AROUND` begin their search at different numbers. When two
 # took the same one within 45 ms, the slower one removed the port of the other (see above).

@@ -65,7 +65,7 @@ class Restarts:
     def __init__(self, most: int, again: Again, announce: Callable[[str], object] | None = None) -> None:
         self.most, self._again, self._announce = most, again, announce
         self.counts: dict[str, int] = {}
-        self._progress: dict[str, dict[str, _Progress]] = {}  # by node that has died, at each of the others
+        self._progress: dict[str, dict[str, _Progress]] = {}  # for each dead node, the progress of each other node
 
     def check(self, children: list[Child]) -> list[Child]:
         """Start killed nodes again when all others wait; return those that cannot be started again.

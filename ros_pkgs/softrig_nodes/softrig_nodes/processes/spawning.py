@@ -22,7 +22,7 @@ from .executables import find_executable
 from .fork_server import LIBC, PR_SET_PDEATHSIG, start_node
 from .peers import links
 
-FILES = ("status", "shard")  # that a node writes
+FILES = ("status", "shard")  # files that a node writes
 DIED = ".shard.died"  # suffix of the record of a node that has died and is started again
 
 

@@ -33,7 +33,7 @@ from ..below.uses import works
 from ..seam.endpoint import Output
 from .realtime import CATCH_UP, Realtime
 
-SHARE = 0.1  # of a period: what a tick costs in Python from which on native ticks are worth their text
+SHARE = 0.1  # share of a period: cost of a tick in Python from which on native ticks are worth their text
 WARM, ROUND, ROUNDS = 17, 16, 4  # ticks of a copy of the rig before its cost is measured, ticks in a round, rounds
 LAP = SECOND // 4  # ns: for so many ticks the tables have rows
 ANSWERS = 1 << 24  # bytes of answers in them, at most

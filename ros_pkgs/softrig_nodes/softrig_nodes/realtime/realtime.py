@@ -83,7 +83,7 @@ class Realtime(Link):
         self._idle = isinstance(block, Plant) and block.AWAITS_COMMAND and not node.options.links
         self.senders.on_value, self.senders.excuse, self.senders.act = self._on_value, self._excuse, lambda: None
         self._answering: Answering | None = None
-        self._paired: list[Live] = []  # what it takes by stamp; a law does when it answers
+        self._paired: list[Live] = []  # inputs that it takes by stamp; a controller does so when it answers
         self._fed: list[Live] = []  # inputs that neighbours fill
         self._rivals: list[Live] = []  # inputs among them that other processes write, too
         self._begun: Callable[[], object] | None = None

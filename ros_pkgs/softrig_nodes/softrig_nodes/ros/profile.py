@@ -33,7 +33,7 @@ VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 (TRANSPORTS,) = NO_MEMORY
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 STARTING = 8  # nodes that may start at the same moment and need space in shared memory
-RENAMED = "FASTDDS_DEFAULT_PROFILES_FILE"  # of Kilted, which warns at the old name
+RENAMED = "FASTDDS_DEFAULT_PROFILES_FILE"  # name since Kilted, which warns at the old name
 # elements of a writer's and a reader's times: in Fast DDS 2, in Fast DDS 3
 TIMES = {
     "initialHeartbeatDelay": "initial_heartbeat_delay",

@@ -67,7 +67,7 @@ QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # of a tick.
 WRITTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
-OF_QOS = "qos_overrides."  # how the names of parameters of the QoS begin
+OF_QOS = "qos_overrides."  # prefix of the names of QoS parameters
 POLICIES = (
     QoSPolicyKind.HISTORY,
     QoSPolicyKind.DEPTH,
@@ -89,7 +89,7 @@ NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
 LISTS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.STRING_ARRAY, Parameter.Type.STRING)
 TYPES = {kind.value for kind in Parameter.Type}
 LONG = 100  # characters of a name or a value in a message
-EMPTY = (Parameter.Type.BOOL_ARRAY, Parameter.Type.BYTE_ARRAY)  # what a list without elements is taken for
+EMPTY = (Parameter.Type.BOOL_ARRAY, Parameter.Type.BYTE_ARRAY)  # types that a list without elements may have
 ARRAYS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY)
 
 KINDS = {
@@ -136,7 +136,7 @@ class ServingNode(Node):  # type: ignore[misc]
     paused: Callable[[], bool] = staticmethod(lambda: False)
     overdrawn: Callable[[str], object] = staticmethod(lambda text: None)
     dropped: Callable[[], object] = staticmethod(lambda: None)
-    credit = Credit()  # one for all nodes of a process
+    credit = Credit()  # shared by all nodes of a process
     _requests: Requests | None = None
 
     def __init__(self, *names: Any, **options: Any) -> None:
@@ -399,7 +399,7 @@ class RosTimer:
 class RosMiddleware(Middleware):
     """One rclpy node; see `Middleware` for the methods."""
 
-    _ears, _locks = Ears(), DeadLocks()  # one for all nodes of a process
+    _ears, _locks = Ears(), DeadLocks()  # shared by all nodes of a process
 
     def __init__(self, node: ServingNode) -> None:
         self.node = node

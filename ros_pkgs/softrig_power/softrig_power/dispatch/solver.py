@@ -175,7 +175,7 @@ class DispatchSolver(Solver[DispatchParams]):
             except TableError as error:
                 self.report(Level.ERROR, "units", f"dispatch/units: {error}; the last table stays", anew=True)
                 if before is not None and before[0] == wanted and not pressed:
-                    return x, None  # nothing new is asked of the table that stays
+                    return x, None  # the table remains, so no request is needed
             else:
                 self.withdraw("units")
         last = x.last.P if x.last is not None else None

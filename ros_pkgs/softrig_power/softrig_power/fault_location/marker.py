@@ -9,7 +9,7 @@ from softrig_core import BlockParams, Marker, Observer, param
 
 from .ports import LOCATION, location_port
 
-HEIGHT = 0.2  # of the towers, in units of the picture
+HEIGHT = 0.2  # height of the towers, in units of the picture
 GREY, RED = (0.5, 0.5, 0.5, 1.0), (0.9, 0.1, 0.1, 1.0)
 
 

@@ -23,9 +23,9 @@ class State(NamedTuple):
 
     line: Moving  # the network and the instruments
     k: int  # sample of the record
-    number: int  # of the record, from 0 on
-    seed: int  # of its noise
-    rows: Rows  # what was measured at the samples before this one, without its noise
+    number: int  # number of the record, from 0 on
+    seed: int  # seed of its noise
+    rows: Rows  # values measured at earlier samples, without their noise
     pressed: bool  # whether `run` was pressed
 
 

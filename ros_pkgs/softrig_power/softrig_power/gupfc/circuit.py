@@ -31,7 +31,7 @@ class Circuit(NamedTuple):
     """Constants of a step; made by `circuit`."""
 
     step: float
-    omega: float  # of the sources
+    omega: float  # angular frequency of the sources
     source_a: complex  # phasors of the sources at t = 0
     source_b: complex
     source: Branch
@@ -58,8 +58,8 @@ class Turning(NamedTuple):
     """
 
     sigma: NDArray[np.float64]  # conduction angle, rad
-    angle: NDArray[np.float64]  # of the voltage, rad
-    omega: NDArray[np.float64]  # its speed, rad/s
+    angle: NDArray[np.float64]  # angle of the voltage, rad
+    omega: NDArray[np.float64]  # speed of the angle, rad/s
 
 
 class Rows(NamedTuple):

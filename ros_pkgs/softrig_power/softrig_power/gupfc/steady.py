@@ -136,7 +136,7 @@ def start(
         else:
             spectrum, orders = {1: scale * first * v_dc[0]}, [1]  # type: ignore[assignment]
         signed = [n if n <= steps // 2 else n - steps for n in orders]
-        results = []  # of each order: buses, branches, lines, converters
+        results = []  # results of each order: buses, branches, lines, converters
         for n, order in zip(orders, signed, strict=True):
             if n not in network:
                 network[n] = Phasors(params, h, order * omega)

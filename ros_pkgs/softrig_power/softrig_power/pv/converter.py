@@ -12,7 +12,7 @@ from softrig_core.kit.newest import once_for_objects
 
 from .string import Characteristic
 
-Line = tuple[float, float, float]  # of a characteristic: its number, current at no voltage (A), slope (S)
+Line = tuple[float, float, float]  # part of a characteristic: its number, current at no voltage (A), slope (S)
 
 
 class ConverterParams(Params):

@@ -34,7 +34,7 @@ from .stability import alpha_hat_limit
 
 PERIOD = 0.001  # s
 LAMBDA = 4.0  # 1/s
-MARGIN = 0.9  # of the stability limit that the guarded search may use
+MARGIN = 0.9  # share of the stability limit that the guarded search may use
 WEIGHT = 1e-7  # deg^2/(V/s)^2, of the squared total variation in the guarded cost
 Mapper = Callable[[Callable[[Point], float], Sequence[Point]], Iterable[float]]
 

@@ -17,7 +17,7 @@ from .parameters import ProblemParams
 from .plants import step_function
 from .ports import SUMMARY, control, plan, state, summary
 
-MARGIN = 1e-6  # of the least cost: a claim below it by more is impossible
+MARGIN = 1e-6  # share of the least cost: a result below it by more is impossible
 
 
 class Figures(NamedTuple):

@@ -13,7 +13,7 @@ from .method.mvim import polynomials
 from .parameters import ProblemParams
 from .ports import SUMMARY, control, plan, state, summary
 
-OTHER = 1e-6  # of the size of the state: a plan that begins further off is another one's
+OTHER = 1e-6  # share of the size of the state: a plan that begins further away belongs to another state
 
 
 class PlayerParams(ProblemParams):

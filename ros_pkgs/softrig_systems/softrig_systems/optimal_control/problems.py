@@ -110,7 +110,7 @@ def _reactor() -> Problem:
 
 
 PROBLEMS = {p.name: p for p in (_scalar(), spacecraft(), TWO_STATE, _reactor())}
-GROUP = "softrig_problems"  # of entry points
+GROUP = "softrig_problems"  # group of entry points
 
 
 def find(name: str) -> Problem:

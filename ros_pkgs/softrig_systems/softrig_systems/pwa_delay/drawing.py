@@ -30,7 +30,7 @@ class Tank(Drawing):
         pen.box(30.0, 50.0, 330.0, 26.0, "line", "paper", 1.5)
         rows = [*past, row]
         wide = 328.0 / self.CELLS
-        for k in range(self.CELLS):  # what was commanded a delay ago comes out at the right
+        for k in range(self.CELLS):  # the command of a delay ago leaves at the right
             earlier = rows[max(0, len(rows) - 1 - round(k / (self.CELLS - 1) * (len(rows) - 1)))]
             share = limited(self.inflow(earlier) / self.flow, 1.0)
             pen.box(31.0 + wide * k, 75.0, wide - 1.0, -24.0 * max(share, 0.0), "accent", "accent", 0)

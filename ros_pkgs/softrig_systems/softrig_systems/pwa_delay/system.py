@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from softrig_core import Array
 from softrig_core.kit import dense
 
-ROUNDING = 1e-9  # of the sizes of its terms, a sum that is zero but for rounding
+ROUNDING = 1e-9  # share of the sizes of its terms up to which a sum counts as zero
 
 
 class BadSystem(ValueError):

@@ -87,7 +87,7 @@ class AqmController(Block[AqmControllerParams]):
 
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (COMMAND, HEALTH)
-    AGREED = {"tcp/set_point": "set_point"}  # its assumed network may differ
+    AGREED = {"tcp/set_point": "set_point"}  # the network that it assumes may differ
 
     def setup(self) -> None:
         """Choose the law."""

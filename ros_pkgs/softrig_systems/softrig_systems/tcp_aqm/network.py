@@ -156,7 +156,7 @@ class Network(Plant[P]):
     # what a subclass has ----------------------------------------------------------------------------------------
 
     _h: float  # internal step, s
-    _steps: int  # of them in a period
+    _steps: int  # internal steps in a period
     most_flows: int = 2000
 
     def begin(self, net: Net) -> Any:

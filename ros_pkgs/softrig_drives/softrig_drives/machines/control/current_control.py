@@ -63,7 +63,7 @@ class CurrentControl:
         self._i_d, self._i_q = p.period * R / L[0], p.period * R / L[1]  # k_i T_s/k_p
         self.reach = linear_range(p.modulation)  # largest phase voltage over the DC voltage
         self._modulation: Modulation = p.modulation
-        self._ahead = (p.delay + 0.5) * p.period  # until the middle of the period in which the voltage acts
+        self._ahead = (p.delay + 0.5) * p.period  # time until the middle of the period in which the voltage acts
 
     def __call__(
         self, x: Integrals, error: Pair, motional: Pair, angle: float, speed: float, u_dc: float

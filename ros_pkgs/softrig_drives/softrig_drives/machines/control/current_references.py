@@ -6,7 +6,7 @@ import math
 
 from softrig_core import jit
 
-HALVINGS = 50  # of an interval of cosines: to the last bits
+HALVINGS = 50  # halvings of an interval of cosines, down to the last bits
 
 
 @jit
@@ -97,7 +97,7 @@ def currents(
         remaining = psi_f * psi_f + L_q * L_q * i_max * i_max - psi_max * psi_max
         root = half * half - square * remaining
         i_d = -remaining / (half + math.sqrt(root)) if root >= 0.0 and half + root > 0.0 else -i_max
-        if i_d <= -i_max:  # so fast that no current within the limit is enough
+        if i_d <= -i_max:  # the speed is too high for every current within the limit
             return -i_max, 0.0, 0.0
         least = min(max((psi_f + L_d * i_d) / psi_max, -1.0), 1.0)
     most = k * psi_max * math.sqrt(1.0 - least * least) * (a * psi_max * least + b)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from softrig_control.data_sheet import mapping, plausible, text
 
 START = 0.1  # s to the rated speed with the rated torque, where no inertia is given
-SECONDS = 100.0  # of such a start at most: more is an inertia in another unit
+SECONDS = 100.0  # s: a longer start means an inertia in another unit
 
 
 class Drive(NamedTuple):

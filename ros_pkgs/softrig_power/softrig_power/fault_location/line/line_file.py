@@ -46,7 +46,7 @@ def line_data(source: str | None, overrides: Mapping[str, Any]) -> dict[str, Any
             raise ScenarioError(f"--line {source}: {error}") from None
         if not isinstance(entries, dict) or not set(entries) <= set(names):
             raise ScenarioError(f"--line {source}: expected {', '.join(names)}, got {entries!r}")
-        build(LineParams, entries)  # its errors name the file's own words
+        build(LineParams, entries)  # its errors use the words of the file
     result = {f"line.{name}": value for name, value in entries.items()}
     result |= {name: value for name, value in overrides.items() if name.startswith("line.")}
     missing = [name for name in names if f"line.{name}" not in result]

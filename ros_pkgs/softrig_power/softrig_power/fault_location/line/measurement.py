@@ -14,7 +14,7 @@ from softrig_core.kit import dense
 from .parameters import RATES, RigParams
 
 ORDER = 4
-CUTOFF = 0.2  # of the sampling rate
+CUTOFF = 0.2  # share of the sampling rate
 
 
 class Chain(NamedTuple):

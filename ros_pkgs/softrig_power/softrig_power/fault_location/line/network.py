@@ -82,7 +82,7 @@ def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
             # Phases outside the fault never close, and a single phase of a floating star carries no current.
             continue
         n = len(closed)
-        z = np.zeros((n + 1, n + 1))  # of the phases and the star point: u0 = (thevenin + R) i + u_star
+        z = np.zeros((n + 1, n + 1))  # matrix of the phases and the star point: u0 = (thevenin + R) i + u_star
         z[:n, :n] = thevenin[np.ix_(closed, closed)] + resistance * np.eye(n)
         z[:n, n], z[n, :n] = 1.0, 1.0
         z[n, n] = -1.0 / LEAST_RESISTANCE if grounded(fault.type) else 0.0

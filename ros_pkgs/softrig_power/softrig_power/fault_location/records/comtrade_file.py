@@ -20,10 +20,11 @@ from .record import Record, RecordError, Status
 from .resample import reach, resampled
 
 Format = Literal["ascii", "binary", "float32"]
-_PHASE = re.compile(r"^L(?=[123])|-?N$")  # what a phase may have before or after its letter: L1, A-N, AN
+# Text that may stand in front of or behind the letter of a phase: L1, A-N, AN.
+_PHASE = re.compile(r"^L(?=[123])|-?N$")
 _SYSTEMS = ("ABC", "123", "RST", "UVW", "RYB")
 PREFIXES = {"": 1.0, "k": 1e3, "K": 1e3, "m": 1e-3, "M": 1e6}
-EPOCH = dt.datetime(2000, 1, 1)  # of written files: t = 0
+EPOCH = dt.datetime(2000, 1, 1)  # t = 0 of written files
 FULL_SCALE = {"ascii": 99998, "binary": 32767}  # the largest raw numbers; ASCII keeps 99999 for missing data
 
 
@@ -227,7 +228,7 @@ def _end(file: Recorder, order: Sequence[int]) -> tuple[Array, Array]:
     if np.count_nonzero(keep) < 2:
         raise RecordError(Status.TOO_SHORT, f"{file.path}: too short to remove the skew, {margin:.3g} s on each side")
     moved = []
-    alone = np.ascontiguousarray(columns.T)[:, :, None]  # of one layout with whole ends, for which code is compiled
+    alone = np.ascontiguousarray(columns.T)[:, :, None]  # contiguous, because code is compiled for one layout only
     for k, skew in enumerate(skews):
         begin = float(file.t[0]) + skew
         aligned = skew == skews[0]

@@ -28,7 +28,7 @@ class Rows:
     """
 
     __slots__ = ("_count", "_list", "_table", "most", "width")
-    SCRATCH = frozenset({"_list"})  # of a table: made when it is needed
+    SCRATCH = frozenset({"_list"})  # list of a table, made when it is needed
 
     _list: list[Row] | None
     _table: NDArray[np.float64] | None

@@ -83,7 +83,7 @@ def operating_points(
     ground = y_g + 2.0 * y_s
     beta = y_m / ground
     a, b = y_s - y_m * beta, y_m * beta
-    e_a, e_b = (y_g * e / ground for e in p.sources)  # what A and B have with both lines at zero
+    e_a, e_b = (y_g * e / ground for e in p.sources)  # values of A and B with both lines at zero
     k_a, k_b = y_m * e_a, y_m * e_b
     y = a - b * b / a
     results: list[Point] = []

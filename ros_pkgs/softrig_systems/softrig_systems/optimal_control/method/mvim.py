@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 NEWTON = 40  # steps at most
 HALVINGS = 12  # halvings of a step that increases the end error
-SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the horizon
+SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # shares of the horizon
 AROUND = (-2.0, -1.0, 1.0, 2.0)  # places at which other roots are searched, in sizes of alpha
 LOW = 3  # orders up to which all roots are looked for, ...
 NEAR = 0.1  # ... when alpha changes by more than this from one to the next, of its size

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..problem import Problem
 
 
-SIZES = (0.5, 1.5, 5.0)  # of the starts, in sizes of alpha
+SIZES = (0.5, 1.5, 5.0)  # sizes of the starts, relative to alpha
 SAME = 1e-6  # relative distance of roots that are one
 ESCAPED = 1e12  # cost of a plant that escapes
 STEPS = 64  # Runge-Kutta steps a stage of the plant

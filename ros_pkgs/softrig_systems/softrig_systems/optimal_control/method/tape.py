@@ -64,7 +64,7 @@ class Tape(NamedTuple):
         def add(code: int, left: int = 0, right: int = 0, constant: float = 0.0) -> int:
             rows.append((code, left, right, constant))
             if code in (SIN, COS):
-                rows.append((PARTNER, 0, 0, 0.0))  # its cosine or sine, right behind it
+                rows.append((PARTNER, 0, 0, 0.0))  # its cosine or sine, directly after it
                 return len(rows) - 2
             if code == CONST:
                 number[len(rows) - 1] = constant

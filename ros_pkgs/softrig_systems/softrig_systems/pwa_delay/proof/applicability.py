@@ -7,7 +7,7 @@ from softrig_core import Array
 
 from ..system import PwaSystem
 
-ROUNDING = 1e-9  # of the sizes of its terms, a sum that is zero but for rounding
+ROUNDING = 1e-9  # share of the sizes of its terms up to which a sum counts as zero
 
 
 class NotApplicable(ValueError):
