@@ -26,12 +26,12 @@ PLOT = ["draw", "plot", "r", "motor/state/shaft/velocity", "--format", "png", "-
 NONE = ("numpy", "pydantic", "yaml", "rich", "importlib.metadata", "inspect")
 SCENARIO = "{title: t, system: s, duration: 1.0, nodes: {source: {package: faultrig, executable: source}}}"
 # Verbs in the order of what they load: the words, modules that must not be loaded beside `HEAVY`, and the largest
-# numbers of modules in all and of softrig's own.
+# numbers of modules in all and of softrig's own. CPython 3.11 loads up to fourteen more of its own library than 3.13.
 BUDGETS = (
     (["bag", "info", "r/bag"], (*RIG, *TABLES, *BAGS, "pydantic", "softrig_bringup.run"), 320, 62),
     (["bag", "compare", "r/bag", "r/bag"], (*RIG, *TABLES, *BAGS, "pydantic"), 325, 67),
     (["report", "r"], (*RIG, *TABLES, *BAGS, "pydantic"), 375, 97),
-    (["draw", "layouts", B2, "--out", "layouts"], (*TABLES, *BAGS), 520, 175),
+    (["draw", "layouts", B2, "--out", "layouts"], (*TABLES, *BAGS), 525, 175),
     (["check", B2], (*TABLES, *BAGS), 580, 215),
     (["new", "my_rig"], (*TABLES, *BAGS), 590, 220),
     (["list", "--signals", B2], (*TABLES, *BAGS), 595, 225),
