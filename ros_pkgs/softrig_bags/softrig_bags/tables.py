@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -223,10 +224,10 @@ class Growing:
             self._capacity = max(last, self._capacity * 3 // 2)
             for arrays in (self._times, self._columns, self._absent):
                 for name, old in arrays.items():
-                    arrays[name] = np.empty(self._capacity, old.dtype)
+                    arrays[name] = _memory(self._capacity, old.dtype)
                     arrays[name][:first] = old[:first]
         if not self._times:
-            self._times = {name: np.empty(self._capacity, np.int64) for name in ("t", "stamp")}
+            self._times = {name: _memory(self._capacity, np.dtype(np.int64)) for name in ("t", "stamp")}
         self._add_columns(piece, first)
         self.rows = last
         for name in ("t", "stamp"):
@@ -243,11 +244,7 @@ class Growing:
         """Create the columns that are new."""
         new = {label: x.dtype for label, x in piece.columns.items() if label not in self._columns}
         kinds = {label: kind if self._exact and kind.kind in "iu" else np.dtype(float) for label, kind in new.items()}
-        if all(kind.kind == "f" for kind in kinds.values()):
-            # One array for all of them gets large memory pages, which the system makes ready much faster.
-            self._columns |= dict(zip(kinds, np.empty((len(kinds), self._capacity)), strict=True))
-        else:
-            self._columns |= {label: np.empty(self._capacity, kind) for label, kind in kinds.items()}
+        self._columns |= {label: _memory(self._capacity, kind) for label, kind in kinds.items()}
         for label, kind in kinds.items() if first else ():
             self._columns[label][:first] = _missing(kind)
             self._absent[label] = np.ones(self._capacity, bool)
@@ -266,6 +263,22 @@ class Growing:
 
 
 _NONE = np.empty(0, np.int64)
+
+
+# Bytes from which numpy asks the system for huge pages.
+HUGE = 1 << 22
+
+
+def _memory(rows: int, kind: np.dtype[Any]) -> NDArray[Any]:
+    """Return an array without values, in memory of pages of usual size.
+
+    A system that has little memory in one piece moves other pages away for huge ones, which took twice as long as to
+    make usual pages ready.
+    """
+    size = rows * kind.itemsize
+    if size < HUGE:
+        return np.empty(rows, kind)
+    return np.frombuffer(mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), kind)
 
 
 def _missing(kind: np.dtype[Any]) -> float:
