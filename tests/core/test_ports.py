@@ -134,7 +134,7 @@ def test_a_rig_without_a_plant_has_a_clock():
 
 def test_only_a_port_declared_sporadic_may_be_silent():
     port = command("u", "u", ["a"], "N")
-    with pytest.raises(RunError, match="gave no u"):
+    with pytest.raises(RunError, match="returned no u"):
         admit({}, port, "node", 0)
     assert admit({"u": None}, command("u", "u", ["a"], "N", sporadic=True), "node", 0) is None
 
