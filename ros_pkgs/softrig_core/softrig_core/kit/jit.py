@@ -317,10 +317,10 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 def _operators(code: types.CodeType) -> set[int]:
     # A code consists of pairs of bytes, operation and argument; unused places between them are 0.
-    return {operator for word, operator in zip(code.co_code[::2], code.co_code[1::2], strict=True) if word == BINARY_OP}
+    binary = dis.opmap["BINARY_OP"]
+    return {operator for word, operator in zip(code.co_code[::2], code.co_code[1::2], strict=True) if word == binary}
 
 
-BINARY_OP = dis.opmap["BINARY_OP"]
 REFUSED_OPERATORS = _operators(compile("a ** b; a @ b; a **= b; a @= b", "", "exec"))
 
 
