@@ -38,6 +38,7 @@ from softrig_bags.repair import repair
 from softrig_bags.write import write_bag
 from softrig_core import Recording, RunError, Signals
 from softrig_core.wire.cdr import Layout
+from softrig_core.wire.long import is_long
 from softrig_core.wire.recording import ShardWriter
 
 if sys.version_info >= (3, 14):
@@ -429,6 +430,37 @@ def test_signals_of_foreign_types(tmp_path):
     assert read_bag(tmp_path / "bag").topics["odd"].data == [b"\x00\x01\x00\x00\x07"] * 3
     with pytest.raises(BagError, match="no definition of odd_msgs/msg/Odd"):
         result.table("odd")
+
+
+@pytest.mark.parametrize("style", [1, 2, 7])
+def test_columns_on_the_disk_have_the_numbers_of_those_in_memory(style, tmp_path, monkeypatch):
+    """Also where messages lack a column, in blocks of few messages, and read a few at a time."""
+    foreign_bag(tmp_path / "bag")
+    write_bag(tmp_path / "own", recording())
+    for name in ("softrig_core.wire.long.STRETCH", "softrig_bags.tables.STRETCH"):
+        monkeypatch.setattr(name, style)
+    monkeypatch.setattr("softrig_bags.files.mcap_file.McapFile.CHUNK_BYTES", 300)
+    write_bag(tmp_path / "chunks", recording())
+    for bag in ("bag", "own", "chunks"):
+        usual, result = signals(tmp_path / bag), signals(tmp_path / bag, on_disk=True)
+        assert list(result) == list(usual)
+        assert result.end == usual.end
+        for topic in usual.decodable:
+            a, b = usual.table(topic), result.table(topic)
+            assert any(map(is_long, (b.t, b.stamp))) is (len(a.t) > style)
+            for x, y in zip((a.t, a.stamp, *a.columns.values()), (b.t, b.stamp, *b.columns.values()), strict=True):
+                np.testing.assert_array_equal(np.asarray(y), x)
+                np.testing.assert_array_equal(np.asarray(y[1:3]), x[1:3])
+
+
+def test_numbers_of_messages_are_known_before_the_messages_are_read(tmp_path, monkeypatch):
+    foreign_bag(tmp_path / "bag")
+    with monkeypatch.context() as patch:
+        patch.setattr("softrig_bags.read.read_bag", None)
+        topics = signals(tmp_path / "bag").recording.topics
+        known = {name: (topic.number, topic.newest()) for name, topic in topics.items()}
+    assert known == {name: (len(topic.times), topic.times[-1]) for name, topic in topics.items()}
+    assert set(known.values()) == {(3, 1_000_000_000)}
 
 
 def test_wall_clock_bags_start_at_zero_seconds(tmp_path):

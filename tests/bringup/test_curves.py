@@ -16,7 +16,7 @@ from softrig_bringup.plots.axes import draw, draw_marks, fold_exponents, is_logi
 from softrig_bringup.plots.curves import Curve, Source, by_unit, envelope, inside
 from softrig_bringup.plots.marks import Mark, marks_of
 from softrig_bringup.plots.named import Shown, plot_name
-from softrig_bringup.plots.overlay import Overlay, _shared, band
+from softrig_bringup.plots.overlay import Overlay, _linear, _shared, band
 from softrig_bringup.plots.pictures import time_scale
 from softrig_core import rig_of
 from softrig_core.judge import measures
@@ -170,6 +170,14 @@ def test_a_band_shows_quantiles_at_times_common_to_all_runs(held):
             for j, c in enumerate(curves)
         ]
         assert (low[k], middle[k], high[k]) == pytest.approx(np.quantile(values, [0.1, 0.5, 0.9]))
+
+
+def test_a_band_reads_only_the_samples_around_its_times():
+    draw = np.random.default_rng(1)
+    x, times = np.unique(draw.normal(size=50)), draw.normal(size=200)
+    curve = Curve("", "", x, draw.normal(size=len(x)))
+    for t in (times, times[:3], x, x[:1] - 1.0, x[-1:] + 1.0):
+        assert _linear(t, curve).tolist() == np.interp(t, curve.x, curve.y).tolist()
 
 
 def test_only_signals_that_two_runs_show_in_one_plot_are_overlaid():

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryFile, gettempdir
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SECOND, Array, Recording, Signals
-from softrig_core.guard import incomplete, print_line
+from softrig_core.guard import incomplete, naming, print_line
+from softrig_core.wire.recording import Topic
 from softrig_core.wire.signals import Table
 
+from .content.block import distinct
 from .errors import BagError
 from .files.reader import BagReader
-from .tables import Columns, Growing
+from .tables import Columns, Growing, OnDisk
 
 EPOCH = "epoch"  # key in a bag's metadata: the stamp of t = 0 of a run in real time, ns
 # In ns. Bag times after September 2001 are those of a wall clock; simulated times begin near zero.
@@ -56,6 +59,31 @@ def _empty(bag: BagReader) -> Recording:
     return Recording((bag.labels[i], bag.topics[i].msgtype) for i in bag.chosen)
 
 
+class _Unread(Topic):
+    """A topic of a bag whose messages are read when first asked for.
+
+    Parameters
+    ----------
+    number : int
+        How many there are.
+    newest : int, optional
+        Time of the last one, ns.
+    """
+
+    def __init__(self, name: str, msgtype: str, number: int, newest: int | None) -> None:
+        super().__init__(name, msgtype)
+        self._number, self._newest = number, newest
+
+    @property
+    def number(self) -> int:
+        """Return how many messages there are."""
+        return self._number
+
+    def newest(self) -> int | None:
+        """Return the time of its last message, ns; None without one."""
+        return self._newest
+
+
 class BagSignals(Signals):
     """Signals of a bag by name ``topic/channel/field``; of foreign message types by the path of the field.
 
@@ -74,7 +102,7 @@ class BagSignals(Signals):
     from_start : bool
         Whether time is known to count from the start of the run: it is simulated, or the run has left its epoch.
     absent : dict of str to dict
-        By topic and column: which messages lack the column, where some do.
+        By topic and column: which messages lack the column, where some do; not known if the columns are on the disk.
     left_out : dict of str to Left
         By topic: what has not become signals, and why.
     undecodable : list of str
@@ -82,14 +110,22 @@ class BagSignals(Signals):
     """
 
     def __init__(
-        self, path: Path, bag: BagReader, columns: Columns, tables: dict[int, Growing], namespace: str = ""
+        self,
+        path: Path,
+        bag: BagReader,
+        columns: Columns,
+        tables: dict[int, Growing | OnDisk],
+        known: Mapping[int, tuple[int, int]],
+        namespace: str = "",
     ) -> None:
         self.path, self.namespace = path, namespace
         epoch, self.from_start = epoch_of(bag)
         recording = _empty(bag)
         super().__init__(recording, epoch)
-        for topic in recording.topics.values():
-            topic.settle = self._load
+        for i in bag.chosen:
+            name = bag.labels[i]
+            topic = _Unread(name, bag.topics[i].msgtype, *known.get(i, (0, None)))
+            topic.settle, recording.topics[name] = self._load, topic
         self.absent: dict[str, dict[str, NDArray[np.bool_]]] = {}
         for i in bag.chosen:
             label = bag.labels[i]
@@ -133,7 +169,7 @@ def epoch_of(bag: BagReader) -> tuple[int, bool]:
     return epoch, bool(recorded) or not epoch
 
 
-def signals(path: Path | str, namespace: str = "") -> BagSignals:
+def signals(path: Path | str, namespace: str = "", on_disk: bool = False) -> BagSignals:
     """Return the signals of a bag as named float64 arrays with time.
 
     Parameters
@@ -142,6 +178,9 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
         Bag, as for `read_bag`.
     namespace : str
         As for `read_bag`.
+    on_disk : bool
+        Whether long columns are in a temporary file, so that memory does not grow with the bag: arrays are read a
+        stretch at a time (`softrig_core.wire.long`).
 
     Returns
     -------
@@ -163,15 +202,21 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
     >>> list(recorded)  # doctest: +SKIP
     """
     with BagReader(path, namespace=namespace) as bag:
-        columns, tables = Columns(bag), dict[int, Growing]()
+        columns, tables, known = Columns(bag), dict[int, Growing | OnDisk](), dict[int, tuple[int, int]]()
+        # It has no name, and it is closed with the last array that is read from it.
+        file = TemporaryFile() if on_disk else None  # noqa: SIM115
         for block in bag.blocks():
+            for topic in distinct(block.topic):
+                times = block.t[block.topic == topic]
+                known[topic] = known.get(topic, (0, 0))[0] + len(times), int(times[-1])
             for topic, piece in columns.pieces(block):
                 if topic not in tables:
-                    tables[topic] = Growing(bag.claimed(topic))
-                tables[topic].add(piece)
+                    tables[topic] = Growing(bag.claimed(topic)) if file is None else OnDisk(file)
+                with naming(Path(gettempdir())):
+                    tables[topic].add(piece)
         columns.finish()
         report_left_out(path, columns)
-        return BagSignals(Path(path), bag, columns, tables, namespace)
+        return BagSignals(Path(path), bag, columns, tables, known, namespace)
 
 
 def report_left_out(path: Path | str, columns: Columns) -> None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import mmap
+import os
 import re
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.wire.long import STRETCH, LongArray
 from softrig_core.wire.types import TYPES
 
 from .content.block import Block, Bytes, Ints, distinct
@@ -284,3 +287,62 @@ def _memory(rows: int, kind: np.dtype[Any]) -> NDArray[Any]:
 def _missing(kind: np.dtype[Any]) -> float:
     """Return what a column has where no message has a value: NaN, or 0 if the type has no NaN."""
     return math.nan if kind.kind == "f" else 0
+
+
+class OnDisk:
+    """The table of a topic as `Growing` makes it, but long columns stay in a file and are read a stretch at a time.
+
+    Parameters
+    ----------
+    file : file
+        Temporary, for any number of tables.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._rows = file, 0
+        self._times = _Parts(file, np.int64), _Parts(file, np.int64)
+        self._columns: dict[str, _Parts] = {}
+
+    def add(self, piece: Piece) -> None:
+        """Append the rows of a piece."""
+        for parts, times in zip(self._times, (piece.t, piece.stamp), strict=True):
+            parts.add(self._rows, times)
+        for label, x in piece.columns.items():
+            if label not in self._columns:
+                self._columns[label] = _Parts(self._file, np.float64)
+            self._columns[label].add(self._rows, x)
+        self._rows += len(piece.t)
+
+    def whole(self) -> Piece:
+        """Return all rows; absences are not kept."""
+        t, stamp = (parts.whole(self._rows) for parts in self._times)
+        return Piece(t, stamp, {label: parts.whole(self._rows) for label, parts in self._columns.items()}, {})
+
+
+class _Parts:
+    """The rows of one column in a file, in parts; a row that is in none of them is NaN."""
+
+    def __init__(self, file: IO[bytes], kind: type[np.float64 | np.int64]) -> None:
+        self._file, self._kind = file, kind
+        self._parts: list[tuple[int, int, int]] = []  # first row, number of rows, place in the file
+
+    def add(self, first: int, x: NDArray[Any]) -> None:
+        """Append rows, of which the first has the number `first`."""
+        self._parts.append((first, len(x), self._file.seek(0, os.SEEK_END)))
+        self._file.write(np.ascontiguousarray(x, self._kind))
+
+    def _read(self, first: int, last: int) -> NDArray[Any]:
+        result = np.full(last - first, np.nan if self._kind is np.float64 else 0, self._kind)
+        for k in range(max(bisect_right(self._parts, (first + 1,)) - 1, 0), len(self._parts)):
+            begin, count, place = self._parts[k]
+            if begin >= last:
+                break
+            low, high = max(begin, first), min(begin + count, last)
+            if low < high:
+                self._file.seek(place + (low - begin) * result.itemsize)
+                self._file.readinto(memoryview(result[low - first : high - first]).cast("B"))  # type: ignore[attr-defined]
+        return result
+
+    def whole(self, rows: int) -> NDArray[Any]:
+        """Return all rows, in memory if they are few."""
+        return self._read(0, rows) if rows <= STRETCH else cast("NDArray[Any]", LongArray(rows, self._read))

@@ -13,7 +13,7 @@ from softrig_core.scenario.plot_entry import PlotEntry
 from . import style as look
 from .axes import draw, legend
 from .canvas import Axes, Figure
-from .curves import Curve, inside
+from .curves import Curve, inside, reduced
 from .named import LEAST, Shown
 from .pictures import fitted, time_scale
 from .style import PLAIN, Style, axis_title, quantity
@@ -139,13 +139,13 @@ def _overlaid(ax: Axes, drawn: Drawn, references: Sequence[Curve], scale: float)
     curves: list[Curve] = []
     for group, members in groups.items():
         if len(members) < LEAST:
-            curves += members
+            curves += map(reduced, members)
             continue
         t, low, middle, high = band(members)
         label = f"{group}: median of {len(members)} seeds, {BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
         bands[label] = t, low, high
         curves.append(Curve(label, members[0].unit, t, middle, members[0].held))
-    curves += references
+    curves += map(reduced, references)
     draw(ax, curves, scale)
     for line, curve in zip(ax.lines, curves, strict=True):
         if curve.label in bands:
@@ -163,6 +163,13 @@ def _overlaid(ax: Axes, drawn: Drawn, references: Sequence[Curve], scale: float)
     return curves
 
 
+def _linear(t: Array, curve: Curve) -> Array:
+    """Return the values at some instants, linear between the samples, of which only those around them are read."""
+    after = np.searchsorted(curve.x, t)
+    around = np.unique(np.clip(np.concatenate([after - 1, after]), 0, len(curve.x) - 1))
+    return np.interp(t, curve.x[around], curve.y[around])
+
+
 def band(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
     """Return median and quantiles of draws of one signal.
 
@@ -176,6 +183,6 @@ def band(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
     t, low, middle, high : arrays of shape (n,)
     """
     t = np.linspace(max(c.x[0] for c in curves), min(c.x[-1] for c in curves), _SAMPLES)
-    rows = [c.y[np.searchsorted(c.x, t, "right") - 1] if c.held else np.interp(t, c.x, c.y) for c in curves]
+    rows = [c.y[np.searchsorted(c.x, t, "right") - 1] if c.held else _linear(t, c) for c in curves]
     low, middle, high = np.quantile(np.array(rows), (BAND[0], 0.5, BAND[1]), axis=0)
     return t, low, middle, high

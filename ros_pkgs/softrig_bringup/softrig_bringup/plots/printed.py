@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from softrig_core.wire.long import is_long
 
 from . import style as look
 from .canvas import Across, Axes, Figure, Place
@@ -51,6 +52,9 @@ def _counterpart(value: Any, known: Mapping[int, Any], target: Any = None) -> An
     """Return matplotlib's counterpart of one of our objects; a number or a text is returned unchanged."""
     if isinstance(value, Across):
         return target.get_xaxis_transform() if value.data == "x" else target.get_yaxis_transform()
+    # matplotlib takes an array that is read in stretches for one with several columns.
+    if is_long(value):
+        return np.asarray(value)
     if isinstance(value, Place):
         return known[id(value.grid)][value.key]
     if isinstance(value, list) and any(id(item) in known for item in value):

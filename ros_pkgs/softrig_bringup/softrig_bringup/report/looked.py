@@ -44,7 +44,7 @@ def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
     check_scenario(folder, scenario, stated)
     if not (folder / BAG).is_dir():
         raise ScenarioError("no bag in it; `softrig run --like` makes it again")
-    result = signals(folder / BAG)
+    result = signals(folder / BAG, on_disk=True)
     names = brings(folder, stated)
     rig = recorded_rig(scenario, folder / BAG, result, names) if names else rig_of(scenario)
     return rig, result.known_as(other_names(rig))
@@ -167,7 +167,7 @@ def _ports(
         alone = scenario.having(nodes=nodes, changes=(), containers=(), trips=(), faults={})
         known = {p.topic: p for m in members_of(alone, {}) for p in (*m.inputs, *m.outputs)}
     for name, topic in result.recording.topics.items():
-        if name == CLOCK.topic or topic.msgtype not in TYPES or not topic.times:
+        if name == CLOCK.topic or topic.msgtype not in TYPES or not topic.number:
             continue
         port = known.get(name) or _port(name, topic.msgtype, list(result.table(name).columns), units)
         if port is not None and port.size:

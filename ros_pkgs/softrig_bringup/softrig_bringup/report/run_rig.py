@@ -66,7 +66,7 @@ def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
         raise ScenarioError(
             f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn from the bag"
         )
-    result = signals(bag, namespace)
+    result = signals(bag, namespace, on_disk=True)
     if bag.is_dir() and (bag.parent / "metrics.json").is_file():
         return _as_it_ran(read_run(bag.parent).made_by, bag, result), result
     with BagReader(bag) as reader:

@@ -209,6 +209,6 @@ def _signals(directory: Path, run: RunRecord) -> Signals | None:
 
     bag = directory / "bag"
     try:
-        return signals(bag).known_as(run.also) if bag.is_dir() else None
+        return signals(bag, on_disk=True).known_as(run.also) if bag.is_dir() else None
     except BagError:
         return None

@@ -156,8 +156,8 @@ class Picture:
         for name, source in self.sources.items():
             if self._entry.x:
                 curve = self._curves.against(self._entry, name)[1]
-                step = max(1, len(curve.x) // (4 * COLUMNS))
-                x, y = curve.x[::step], curve.y[::step]
+                at = np.arange(0, len(curve.x), max(1, len(curve.x) // (4 * COLUMNS)))
+                x, y = curve.x[at], curve.y[at]
             else:
                 curve = self._curves.shown(self._entry, name)
                 x, y = envelope(curve.x, curve.y, COLUMNS)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from softrig_core import Recording, Rig
 from softrig_core.rig.members import other_names
 from softrig_core.timebase import SECOND
@@ -198,7 +199,7 @@ class Recorded:
 
     def __init__(self, rig: Rig, signals: Signals, content: Mapping[str, Any]) -> None:
         self.rig = rig
-        topics = [t for t in rig.topics if t in signals.recording.topics and signals.recording.topics[t].times]
+        topics = [t for t in rig.topics if t in signals.recording.topics and signals.recording.topics[t].number]
         self._tables = {t: signals.table(t) for t in topics}
         self.end = max((float(t.t[-1]) for t in self._tables.values()), default=0.0)
         self.status, self.results = content.get("nodes", {}), content.get("metrics", [])
@@ -215,8 +216,8 @@ class Recorded:
 def _cut(table: Table, first: float, last: float) -> Table:
     if first <= 0.0 and last == math.inf:
         return table
-    i = max(0, int(table.t.searchsorted(first, "right")) - 1)
-    j = int(table.t.searchsorted(last, "right"))
+    i = max(0, int(np.searchsorted(table.t, first, "right")) - 1)
+    j = int(np.searchsorted(table.t, last, "right"))
     return Table(table.t[i:j], table.stamp[i:j], {label: x[i:j] for label, x in table.columns.items()})
 
 
