@@ -120,7 +120,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _floor(rate: int, duration: float) -> list[str]:
-    """Return late ticks and lateness of an empty loop in C."""
+    """Return late ticks and lateness of an empty loop in C.
+
+    It publishes nothing, so a reader would wait for messages and take no processor time: none is started.
+    """
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder, "floor")
         try:

@@ -323,7 +323,7 @@ class _Parts:
     """The rows of one column in a file, in parts; a row that is in none of them is NaN."""
 
     def __init__(self, file: IO[bytes], kind: type[np.float64 | np.int64]) -> None:
-        self._file, self._kind = file, kind
+        self._file, self._kind = file, np.dtype(kind)
         self._parts: list[tuple[int, int, int]] = []  # first row, number of rows, place in the file
 
     def add(self, first: int, x: NDArray[Any]) -> None:
@@ -332,7 +332,7 @@ class _Parts:
         self._file.write(np.ascontiguousarray(x, self._kind))
 
     def _read(self, first: int, last: int) -> NDArray[Any]:
-        result = np.full(last - first, np.nan if self._kind is np.float64 else 0, self._kind)
+        result = np.full(last - first, _missing(self._kind), self._kind)
         for k in range(max(bisect_right(self._parts, (first + 1,)) - 1, 0), len(self._parts)):
             begin, count, place = self._parts[k]
             if begin >= last:

@@ -255,6 +255,8 @@ class Fitted:
     def begin(self, first: int, last: int) -> None:
         """Create buffers for the native answers of the ticks from `first` up to `last`."""
         self._begin = first
+        # The earlier tables are dropped first, so that the new ones of a long run can have the same memory.
+        self._arrays, self.rows = (), {}
         tables = list(self._tables_of(last))
         if self._typed:
             numbers = spacious([(count, size) for _, count, size, _ in tables])

@@ -113,17 +113,20 @@ class ShardWriter:
 
     def add_rows(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Append many such rows: their times, shape (n,), and their numbers, (n, size of all)."""
-        rows = np.empty(len(times), row_type(values.shape[1]))
-        rows["t"], rows["mark"], rows["values"] = times, _ROW, values
-        if rows.nbytes <= self.LIMIT:
-            self._buffer += rows.tobytes()
-            if len(self._buffer) > self._limit:
-                self.flush()
-            return
-        self.flush()
-        content = memoryview(rows.view(np.uint8))
-        while content:
-            content = content[self._write(content) :]
+        # Native code computes 16 MB of numbers at a time; a copy of all would double the memory of a long run.
+        for first in range(0, len(times), CHUNK):
+            part = values[first : first + CHUNK]
+            rows = np.empty(len(part), row_type(values.shape[1]))
+            rows["t"], rows["mark"], rows["values"] = times[first : first + CHUNK], _ROW, part
+            if rows.nbytes <= self.LIMIT:
+                self._buffer += rows.tobytes()
+                if len(self._buffer) > self._limit:
+                    self.flush()
+                continue
+            self.flush()
+            content = memoryview(rows.view(np.uint8))
+            while content:
+                content = content[self._write(content) :]
 
     def flush(self) -> None:
         """Pass everything to the operating system; raises OSError (disk full), never drops silently."""
