@@ -14,7 +14,7 @@ import sys
 import tracemalloc
 import zlib
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
 import pyarrow.parquet
@@ -35,6 +35,7 @@ from softrig_bags.export import export
 from softrig_bags.files.bag import STORAGES, BagWriter
 from softrig_bags.read import read_bag, signals
 from softrig_bags.repair import repair
+from softrig_bags.tables import OnDisk, Piece
 from softrig_bags.write import write_bag
 from softrig_core import Recording, RunError, Signals
 from softrig_core.wire.cdr import Layout
@@ -451,6 +452,19 @@ def test_columns_on_the_disk_have_the_numbers_of_those_in_memory(style, tmp_path
             for x, y in zip((a.t, a.stamp, *a.columns.values()), (b.t, b.stamp, *b.columns.values()), strict=True):
                 np.testing.assert_array_equal(np.asarray(y), x)
                 np.testing.assert_array_equal(np.asarray(y[1:3]), x[1:3])
+
+
+def test_threads_can_read_columns_on_the_disk_at_the_same_time(monkeypatch):
+    """A page draws in one thread while another computes figures: a read must not use the file's common position."""
+    monkeypatch.setattr("softrig_bags.tables.STRETCH", 2)
+    with TemporaryFile() as file:
+        table = OnDisk(file)
+        table.add(Piece(np.arange(9), np.arange(9), {"x": np.arange(9.0)}, {}))
+        file.flush()
+        x = table.whole().columns["x"]
+        before = file.tell()
+        np.testing.assert_array_equal(np.asarray(x[3:6]), [3.0, 4.0, 5.0])
+        assert file.tell() == before
 
 
 def test_numbers_of_messages_are_known_before_the_messages_are_read(tmp_path, monkeypatch):

@@ -214,6 +214,9 @@ def signals(path: Path | str, namespace: str = "", on_disk: bool = False) -> Bag
                     tables[topic] = Growing(bag.claimed(topic)) if file is None else OnDisk(file)
                 with naming(Path(gettempdir())):
                     tables[topic].add(piece)
+        if file is not None:
+            with naming(Path(gettempdir())):
+                file.flush()
         columns.finish()
         report_left_out(path, columns)
         return BagSignals(Path(path), bag, columns, tables, known, namespace)

@@ -314,7 +314,7 @@ class OnDisk:
         self._rows += len(piece.t)
 
     def whole(self) -> Piece:
-        """Return all rows; absences are not kept."""
+        """Return all rows; absences are not kept. The file must have been flushed."""
         t, stamp = (parts.whole(self._rows) for parts in self._times)
         return Piece(t, stamp, {label: parts.whole(self._rows) for label, parts in self._columns.items()}, {})
 
@@ -339,8 +339,9 @@ class _Parts:
                 break
             low, high = max(begin, first), min(begin + count, last)
             if low < high:
-                self._file.seek(place + (low - begin) * result.itemsize)
-                self._file.readinto(memoryview(result[low - first : high - first]).cast("B"))  # type: ignore[attr-defined]
+                # Not by seek and read: a page draws in one thread while another computes figures.
+                part = result[low - first : high - first]
+                os.preadv(self._file.fileno(), [part], place + (low - begin) * result.itemsize)
         return result
 
     def whole(self, rows: int) -> NDArray[Any]:
