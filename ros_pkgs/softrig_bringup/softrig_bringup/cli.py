@@ -71,7 +71,7 @@ GROUPS = {
     "set-up": ("setup", "env", "python", "docs", "bench"),
 }
 VERBS = {verb for verbs in GROUPS.values() for verb in verbs}
-# what a word has become
+# Commands of earlier versions, and those that replace them.
 FORMER = {
     "locate": "node softrig_power locate",
     "signals": "list --signals SCENARIO",
