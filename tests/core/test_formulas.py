@@ -324,7 +324,15 @@ def test_during_a_run_the_first_instant_counts(text):
     assert live.bounds(opened)[1] == -2.0
 
 
-@pytest.mark.long
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("x > 1 until y > 0", -1.0), ("x > 1 until[0, 1] y > -3", 2.0), ("always (y > -3 since x > 1)", 2.0)],
+)
+def test_operators_with_two_formulas_are_measured_in_a_record_of_one_sample(text, value):
+    record = Record(np.zeros(1), {"x": np.array([3.0]), "y": np.array([-1.0])})
+    assert record.margin(read(text, {"x": None, "y": None})[0]).value == value
+
+
 def test_random_formulas_are_measured_as_defined():
     verdicts = [hold(seed) for seed in range(DAILY)]
     for each in (True, False, None):  # the drawn formulas have all three verdicts

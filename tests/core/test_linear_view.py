@@ -457,7 +457,7 @@ SYSTEMS = {"dc_motor_fsfb": "in steps .a quantised sensor", "dc_motor_smc": "",
            "dc_motor_smc_b2": "in steps .a quantised sensor", "economic_dispatch": "",
            "fault_location": "numbers move, .* of them in ", "gupfc": "", "induction_dtc": "", "lsrm_fuzzy": "",
            "manipulator_adsmc": "", "optimal_control_mvim": "",
-           "pv_mppt": "duty/effort comes back there .* rests on a limit, or waits",
+           "pv_mppt": "duty/effort comes back there .* is at a limit, or waits",
            "pwa_delay": "numbers move, .* of them in switched_delay_plant.past", "rectifier_mpc": "",
            "rehab_impedance": "", "tcp_aqm_smc": "numbers move, .* of them in tcp_fluid.past"}  # fmt: skip
 

@@ -40,8 +40,8 @@ def test_outcome(name, tmp_path):
         "rectifier_mpc_load": ({"recovers": -197.353, "dip": -145.353}, {"gpc_controller.lam": 253.398}),
         # Margins of delay: 0.0200056 s, and 0.4192653 s (test_pwa_delay.py::test_margin_of_the_pendulum_by_growth).
         "pwa_delay_growth": ({"growth": -0.00494562}, {"switched_delay_plant.delay": 0.02000596}),
-        "pwa_delay_growth_pendulum": ({"growth": -0.0648226}, {"switched_delay_plant.delay": 0.4192676}),
-        "induction_dtc_resistance": ({"flux_band": -36.3648, "current": -17.8988}, {"im_plant.R_s": 3.68682}),
+        "pwa_delay_growth_pendulum": ({"growth": -0.0650097}, {"switched_delay_plant.delay": 0.4192676}),
+        "induction_dtc_resistance": ({"tracks": -1246.098, "current": -15.6082}, {"im_plant.R_s": 3.68478}),
     }
     status = main(["falsify", name, "--out", str(tmp_path), "--workers", "2"])
     content = json.loads((tmp_path / "outcome.json").read_text())

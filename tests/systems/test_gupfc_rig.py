@@ -531,8 +531,8 @@ def test_a_plain_node_replaces_a_series_controller(tmp_path):
     quick = {
         "references_1.period": 0.05,  # so that more than one tick falls into 0.1 s
         "references_2.period": 0.05,
-        "references_2.times": [0.0, 0.05],
-        "references_2.values": [1.0, -0.4, 0.9, -0.4],
+        "references_2.times": [0.0, 0.05, 0.2],  # an expectation names the third value
+        "references_2.values": [1.0, -0.4, 0.9, -0.4, 0.9, -0.4],
     }
     reference = simulate("gupfc", duration=0.1, overrides=quick)
     scenario = load_scenario("gupfc", quick)

@@ -119,7 +119,7 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
     if len(first) == 1:
         window = values[..., first[0] : last[0] + 1]
         if not any(values.strides[:2]):
-            return np.broadcast_to(pick.reduce(window[0, 0], initial=none), (*values.shape[:2], 1))
+            return np.full((*values.shape[:2], 1), pick.reduce(window[0, 0], initial=none))
         return pick.reduce(window, axis=-1, keepdims=True, initial=none)
     if is_long(first):
         return cast(Array, LongArray(len(first), partial(_extremes, values, first, last, pick, none)))
