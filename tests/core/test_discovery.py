@@ -403,6 +403,10 @@ def real_time(kind, seed, outside=(), stalls=0):
     return wrong
 
 
+def test_a_slow_controller_misses_no_tick_at_an_end_between_two_of_its_own():
+    assert real_time("three plants, one of which has a slow law", 0) == []
+
+
 @pytest.mark.parametrize("kind", few(KINDS, 7))
 def test_in_real_time_every_tick_is_answered_or_counted(kind):
     for seed in range(4):

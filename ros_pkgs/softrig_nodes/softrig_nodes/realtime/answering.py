@@ -151,7 +151,9 @@ class Answering:
     def count_missed(self, end: int) -> None:
         """Count the ticks up to the end of the run for which no message has arrived."""
         if self._last_stamp is not None and end > self._last_stamp:
-            self.missed += self._between(end) + 1
+            node, schedule = self._node, self._node.schedule
+            newest = schedule.held(end - node.epoch)  # the end itself need not be a tick of a slow node
+            self.missed += schedule.tick(newest) - schedule.tick(self._last_stamp - node.epoch)
             self._last_stamp = end
 
     def _between(self, stamp: int) -> int:
