@@ -115,7 +115,7 @@ class BagSignals(Signals):
         bag: BagReader,
         columns: Columns,
         tables: dict[int, Growing | OnDisk],
-        known: Mapping[int, tuple[int, int]],
+        newest: Mapping[int, int],
         namespace: str = "",
     ) -> None:
         self.path, self.namespace = path, namespace
@@ -124,7 +124,7 @@ class BagSignals(Signals):
         super().__init__(recording, epoch)
         for i in bag.chosen:
             name = bag.labels[i]
-            topic = _Unread(name, bag.topics[i].msgtype, *known.get(i, (0, None)))
+            topic = _Unread(name, bag.topics[i].msgtype, bag.counts[i], newest.get(i))
             topic.settle, recording.topics[name] = self._load, topic
         self.absent: dict[str, dict[str, NDArray[np.bool_]]] = {}
         for i in bag.chosen:
@@ -202,13 +202,12 @@ def signals(path: Path | str, namespace: str = "", on_disk: bool = False) -> Bag
     >>> list(recorded)  # doctest: +SKIP
     """
     with BagReader(path, namespace=namespace) as bag:
-        columns, tables, known = Columns(bag), dict[int, Growing | OnDisk](), dict[int, tuple[int, int]]()
+        columns, tables, newest = Columns(bag), dict[int, Growing | OnDisk](), dict[int, int]()
         # It has no name, and it is closed with the last array that is read from it.
         file = TemporaryFile() if on_disk else None  # noqa: SIM115
         for block in bag.blocks():
             for topic in distinct(block.topic):
-                times = block.t[block.topic == topic]
-                known[topic] = known.get(topic, (0, 0))[0] + len(times), int(times[-1])
+                newest[topic] = int(block.t[block.topic == topic][-1])
             for topic, piece in columns.pieces(block):
                 if topic not in tables:
                     tables[topic] = Growing(bag.claimed(topic)) if file is None else OnDisk(file)
@@ -219,7 +218,7 @@ def signals(path: Path | str, namespace: str = "", on_disk: bool = False) -> Bag
                 file.flush()
         columns.finish()
         report_left_out(path, columns)
-        return BagSignals(Path(path), bag, columns, tables, known, namespace)
+        return BagSignals(Path(path), bag, columns, tables, newest, namespace)
 
 
 def report_left_out(path: Path | str, columns: Columns) -> None:
